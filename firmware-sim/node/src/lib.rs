@@ -1,0 +1,1 @@
+//! Placeholder of `gadm-node`; replaced by its first commit.

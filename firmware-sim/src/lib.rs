@@ -1,0 +1,1 @@
+//! Placeholder of `gadm-sim`; replaced by its first commit.

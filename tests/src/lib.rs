@@ -1,0 +1,1 @@
+//! Placeholder of `gadm-integration-tests`; replaced by its first commit.

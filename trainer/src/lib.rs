@@ -1,0 +1,1 @@
+//! Placeholder of `gadm-trainer`; replaced by its first commit.
