@@ -1,0 +1,45 @@
+//! Work memory that the caller owns.
+
+/// Work memory of a step. One scratch serves any number of policies one after the other; nothing is kept between steps.
+///
+/// The memory is `u32` so that it is 4-byte aligned; its length must be at least
+/// [`PolicySpec::scratch_words`](crate::PolicySpec::scratch_words).
+#[derive(Debug)]
+pub struct Scratch<'m> {
+    pub(crate) memory: &'m mut [u32],
+}
+
+impl<'m> Scratch<'m> {
+    /// Wraps `memory`. Its content does not matter.
+    #[must_use]
+    pub fn new(memory: &'m mut [u32]) -> Self {
+        Self { memory }
+    }
+
+    /// Number of words.
+    #[must_use]
+    pub fn words(&self) -> usize {
+        self.memory.len()
+    }
+}
+
+/// Words that an int8 policy of these dimensions needs, for static arrays:
+/// `static mut WORK: [u32; scratch_words(11, 256, 64, true, 153)]`.
+///
+/// `hidden_width` is the widest hidden layer of all networks (0 without hidden layers), `head_rows` the rows of the
+/// decoder's last layer (0 for a table decoder).
+#[must_use]
+pub const fn scratch_words(
+    obs_dim: usize,
+    hidden_width: usize,
+    num_latents: usize,
+    confidence: bool,
+    head_rows: usize,
+) -> usize {
+    let input = obs_dim.next_multiple_of(16) / 2;
+    let hidden = hidden_width.next_multiple_of(16) / 2;
+    let latents = num_latents.next_multiple_of(4);
+    let select = if confidence { latents * 2 } else { latents };
+    let head = head_rows.next_multiple_of(4);
+    input + 2 * hidden + if select > head { select } else { head }
+}
