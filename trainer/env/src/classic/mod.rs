@@ -1,0 +1,4 @@
+//! Small tasks with continuous actions.
+
+pub(crate) mod pendulum;
+pub(crate) mod toy_env;
