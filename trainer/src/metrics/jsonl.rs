@@ -254,7 +254,9 @@ mod tests {
     fn resuming_keeps_every_record_of_the_checkpoints_own_step() {
         let folder = tempfile::tempdir().unwrap();
         let mut sink = JsonlSink::create(folder.path()).unwrap();
-        [100, 200, 200, 300].into_iter().for_each(|step| sink.write(&record(step)).unwrap());
+        for step in [100, 200, 200, 300] {
+            sink.write(&record(step)).unwrap();
+        }
         drop(sink);
         let before = metrics(folder.path());
         JsonlSink::resume(folder.path(), 200).unwrap();
