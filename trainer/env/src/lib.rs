@@ -12,7 +12,7 @@
 //! # }
 //! ```
 //!
-//! [`make`] gives one environment by its id, [`VecEnv`] a row of them with automatic reset, and `golden::check`
+//! [`make`] gives one environment by its id, [`VecEnv`] a row of them with automatic reset, and [`golden::check`]
 //! replays recordings of the reference programs. Physics and rewards are computed in f64; observations, actions and
 //! networks are f32. Which environment follows which reference, and where it differs, is in the book's page
 //! "Environments".
@@ -20,7 +20,7 @@
 mod classic;
 mod env;
 mod error;
-//pub mod golden;
+pub mod golden;
 mod hybrid;
 #[cfg(feature = "mujoco")]
 mod mujoco;

@@ -123,16 +123,22 @@ pub(crate) fn continuous(name: impl Into<String>, unit: &str, lo: f32, hi: f32, 
     ActionSignal { name: name.into(), unit: unit.to_owned(), head: ActionHead::Continuous { lo, hi }, safe }
 }
 
-/// Checks the shape of a saved state.
-pub(crate) fn check_shape(spec: &EnvSpec, state: &EnvState, reals: usize, counts: usize) -> Result<(), EnvError> {
-    if state.reals.len() == reals && state.counts.len() == counts {
-        return Ok(());
+/// Checks the shape of a saved state, and that its numbers are finite.
+pub(crate) fn check_state(spec: &EnvSpec, state: &EnvState, reals: usize, counts: usize) -> Result<(), EnvError> {
+    if state.reals.len() != reals || state.counts.len() != counts {
+        return Err(EnvError::State {
+            id: spec.id.clone(),
+            expected: reals + counts,
+            found: state.reals.len() + state.counts.len(),
+        });
     }
-    Err(EnvError::State {
-        id: spec.id.clone(),
-        expected: reals + counts,
-        found: state.reals.len() + state.counts.len(),
-    })
+    match state.reals.iter().position(|r| !r.is_finite()) {
+        Some(i) => {
+            let message = format!("number {i}: expected a finite one, found {}", state.reals[i]);
+            Err(EnvError::StateValue { id: spec.id.clone(), message })
+        }
+        None => Ok(()),
+    }
 }
 
 #[cfg(test)]

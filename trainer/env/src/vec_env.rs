@@ -115,13 +115,13 @@ impl Chunk {
             let obs = &mut out.obs[i * obs_dim..][..obs_dim];
             let step = slot.env.step(&actions[i * act_dim..][..act_dim], next_obs);
             slot.total_reward += step.reward;
-            slot.length += 1;
+            slot.length = slot.length.saturating_add(1);
             (out.rewards[i], out.terminated[i], out.truncated[i]) = (step.reward, step.terminated, step.truncated);
             if step.terminated || step.truncated {
                 let goal = step.terminated && step.reward > 0.0 && slot.env.spec().goal_terminal;
                 let Slot { index, total_reward, length, .. } = *slot;
                 out.ended.push(EpisodeEnd { env: index, total_reward, length, terminated: step.terminated, goal });
-                slot.episode += 1;
+                slot.episode = slot.episode.wrapping_add(1);
                 slot.reset(*run_seed, obs);
             } else {
                 obs.copy_from_slice(next_obs);
@@ -263,7 +263,7 @@ impl VecEnv {
         }
         for chunk in self.chunks.iter_mut().flatten() {
             for slot in &mut chunk.slots {
-                slot.episode += 1;
+                slot.episode = slot.episode.wrapping_add(1);
             }
         }
         self.start_episodes();

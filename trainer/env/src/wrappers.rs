@@ -31,7 +31,7 @@ impl Env for TimeLimit {
 
     fn step(&mut self, action: &[f32], obs: &mut [f32]) -> Step {
         let mut step = self.inner.step(action, obs);
-        self.taken += 1;
+        self.taken = self.taken.saturating_add(1);
         step.truncated |= self.taken >= u64::from(self.limit);
         step
     }

@@ -7,7 +7,7 @@ use std::f64::consts::PI;
 use crate::{
     ArgumentMask, EnvError, EnvSpec, EnvState,
     sampling::EpisodeRng,
-    task::{Field, Outcome, Task, check_shape, continuous, signal},
+    task::{Field, Outcome, Task, check_state, continuous, signal},
 };
 
 /// Gravity, m/s² (Gymnasium's default).
@@ -99,7 +99,7 @@ impl Task for Pendulum {
     }
 
     fn load(&mut self, state: &EnvState) -> Result<(), EnvError> {
-        check_shape(&self.spec, state, 2, 0)?;
+        check_state(&self.spec, state, 2, 0)?;
         self.place(&state.reals);
         Ok(())
     }

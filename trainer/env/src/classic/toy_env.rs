@@ -5,7 +5,7 @@
 use crate::{
     ArgumentMask, EnvError, EnvSpec, EnvState,
     sampling::EpisodeRng,
-    task::{Field, Outcome, Task, check_shape, continuous, signal},
+    task::{Field, Outcome, Task, check_state, continuous, signal},
 };
 
 /// `y` above this moves on from the state. Source: A.7, the middles of the dataset's squares.
@@ -111,7 +111,7 @@ impl Task for ToyEnv {
     }
 
     fn load(&mut self, state: &EnvState) -> Result<(), EnvError> {
-        check_shape(&self.spec, state, 0, 1)?;
+        check_state(&self.spec, state, 0, 1)?;
         let at = state.counts[0];
         if at > 3 {
             let message = format!("state number: expected 0 to 3, found {at}");

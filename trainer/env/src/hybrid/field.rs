@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 use crate::{
     EnvError, EnvSpec, EnvState, ObservationSignal,
     sampling::EpisodeRng,
-    task::{Outcome, check_shape, signal},
+    task::{Outcome, check_state, signal},
 };
 
 /// Radius of the target, in half-widths of the field.
@@ -95,7 +95,7 @@ impl Field {
     }
 
     pub(crate) fn load(spec: &EnvSpec, state: &EnvState) -> Result<Self, EnvError> {
-        check_shape(spec, state, 7, 1)?;
+        check_state(spec, state, 7, 1)?;
         let r = &state.reals;
         let step = state.counts[0];
         Ok(Self { x: r[0], y: r[1], speed: r[2], theta: r[3], phi: r[4], target_x: r[5], target_y: r[6], step })

@@ -62,7 +62,7 @@ impl Task for HardMove {
     /// `action` is n switches, then n distances. In the reference's action index, switch 0 is the most significant bit.
     fn apply(&mut self, action: &[f64]) -> Outcome {
         let before = self.at.distance();
-        self.at.step += 1;
+        self.at.step = self.at.step.saturating_add(1);
         let (switches, distances) = action.split_at(self.directions.len());
         let (mut dx, mut dy) = (0.0, 0.0);
         for ((switch, distance), (cos, sin)) in switches.iter().zip(distances).zip(&self.directions) {

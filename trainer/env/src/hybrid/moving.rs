@@ -101,7 +101,7 @@ impl Task for Moving {
     /// `action` is `(type, acceleration, turn)`.
     fn apply(&mut self, action: &[f64]) -> Outcome {
         let before = self.at.distance();
-        self.at.step += 1;
+        self.at.step = self.at.step.saturating_add(1);
         match action[0] as u8 {
             0 => self.accelerate(action[1]),
             1 => self.at.theta = (self.at.theta + MAX_TURN * action[2].clamp(-1.0, 1.0)).rem_euclid(TAU),

@@ -6,7 +6,7 @@ use super::plant::{ModelFile, Plant};
 use crate::{
     ActionSignal, ArgumentMask, EnvError, EnvSpec, EnvState, ObservationSignal,
     sampling::EpisodeRng,
-    task::{Field, Outcome, Task, check_shape, continuous},
+    task::{Field, Outcome, Task, check_state, continuous},
 };
 
 /// Generation of the reference.
@@ -137,7 +137,7 @@ impl<R: Rules> Task for Body<R> {
 
     fn load(&mut self, state: &EnvState) -> Result<(), EnvError> {
         let len = self.plant.state_len();
-        check_shape(&self.spec, state, len + 1, 0)?;
+        check_state(&self.spec, state, len + 1, 0)?;
         self.plant.load_state(&state.reals[..len]);
         self.position = state.reals[len];
         Ok(())
