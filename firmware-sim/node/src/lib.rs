@@ -1,1 +1,74 @@
-//! Placeholder of `gadm-node`; replaced by its first commit.
+//! A CAN control node that runs one GADM policy: frame codec, lockstep control loop and safety states.
+//!
+//! The crate has no heap, no clock, no global state and does not panic. Time is an argument of
+//! [`ControlNode::poll`]; the bus is whatever implements [`Link`]. The same code is linked into the simulator
+//! (`gadm-sim`) and into the firmware, so both put the same frames on the bus.
+//!
+//! | module | holds |
+//! | --- | --- |
+//! | [`frame`], [`link`] | one CAN or CAN FD frame; the boundary to a bus |
+//! | [`protocol`] | **the** table of messages: identifiers, directions, periods, payload layouts |
+//! | [`codec`], [`service`], [`assemble`] | frames to numbers and back, both profiles; parts to complete sets |
+//! | [`safety`] | **the** table of states and transitions, and the fault codes |
+//! | [`timing`] | period jitter and bias |
+//! | [`control`] | the node itself |
+//!
+//! # Example
+//!
+//! A frame of the protocol, made and read:
+//!
+//! ```
+//! use gadm_node::service::{Mode, ModeCommand};
+//!
+//! let frame = Mode { command: ModeCommand::Run, node: 1 }.frame();
+//! assert_eq!(frame.payload(), [1, 1]);
+//! assert_eq!(Mode::parse(&frame).unwrap().command, ModeCommand::Run);
+//! ```
+#![no_std]
+#![forbid(unsafe_code)]
+#![deny(
+    clippy::indexing_slicing,
+    clippy::expect_used,
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::cast_possible_truncation,
+    clippy::cast_possible_wrap,
+    clippy::cast_precision_loss,
+    clippy::cast_sign_loss
+)]
+#![cfg_attr(
+    test,
+    allow(
+        clippy::indexing_slicing,
+        clippy::expect_used,
+        clippy::unwrap_used,
+        clippy::panic,
+        clippy::cast_possible_truncation,
+        clippy::cast_possible_wrap,
+        clippy::cast_precision_loss,
+        clippy::cast_sign_loss,
+        reason = "a test may fail loudly"
+    )
+)]
+
+#[cfg(test)]
+extern crate std;
+
+pub mod assemble;
+pub mod codec;
+pub mod control;
+pub mod frame;
+pub mod link;
+pub mod protocol;
+pub mod safety;
+pub mod service;
+mod shaper;
+pub mod timing;
+mod watch;
+
+pub use codec::{Flags, Layout, Profile};
+pub use control::{ControlNode, Counters, NodeConfig, NodeStatus, TimeSource};
+pub use frame::Frame;
+pub use link::{Link, LinkError};
+pub use protocol::NodeId;
+pub use safety::{Event, Fault, State};

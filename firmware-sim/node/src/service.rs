@@ -1,0 +1,375 @@
+//! Messages whose layout does not depend on a policy: MODE, ESTOP, TICK, REQUEST, REPLY and the heartbeats.
+//!
+//! All of them are classic frames in both profiles.
+
+use crate::frame::{Frame, Kind, standard};
+use crate::protocol::{Function, NodeId, address, identifier};
+
+/// A classic frame of a function; every caller passes a function and payload that exist in the table.
+fn make(function: Function, node: u8, payload: &[u8]) -> Frame {
+    identifier(function, node, 0).and_then(|id| Frame::classic(standard(id), payload)).unwrap_or(Frame::empty())
+}
+
+/// The first `N` payload bytes of a data frame of that function, and the node number of its identifier.
+fn read<const N: usize>(frame: &Frame, function: Function) -> Option<(u8, [u8; N])> {
+    let found = address(frame.standard_id()?)?;
+    if found.message.function != function || frame.kind() == Kind::Remote {
+        return None;
+    }
+    Some((found.node, *frame.payload().first_chunk()?))
+}
+
+/// What MODE asks for. The numbers are those of CANopen's NMT.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ModeCommand {
+    /// Start control.
+    Run,
+    /// Stop control: the safe action once, then silence.
+    Stop,
+    /// Start again from the beginning, the policy included.
+    Reset,
+}
+
+impl ModeCommand {
+    /// The number on the wire.
+    #[must_use]
+    pub const fn code(self) -> u8 {
+        match self {
+            Self::Run => 1,
+            Self::Stop => 2,
+            Self::Reset => 129,
+        }
+    }
+
+    /// Lower-case name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Run => "run",
+            Self::Stop => "stop",
+            Self::Reset => "reset",
+        }
+    }
+}
+
+/// MODE.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Mode {
+    /// What to do.
+    pub command: ModeCommand,
+    /// Which node, 0 = all.
+    pub node: u8,
+}
+
+impl Mode {
+    /// As a frame.
+    #[must_use]
+    pub fn frame(self) -> Frame {
+        make(Function::Mode, 0, &[self.command.code(), self.node])
+    }
+
+    /// From a frame; `None` where it is something else or an unknown command.
+    #[must_use]
+    pub fn parse(frame: &Frame) -> Option<Self> {
+        let (_, [command, node]) = read(frame, Function::Mode)?;
+        let command =
+            [ModeCommand::Run, ModeCommand::Stop, ModeCommand::Reset].into_iter().find(|c| c.code() == command)?;
+        Some(Self { command, node })
+    }
+}
+
+/// ESTOP.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Estop {
+    /// Which node, 0 = all.
+    pub node: u8,
+    /// Free, for the log.
+    pub reason: u8,
+}
+
+impl Estop {
+    /// As a frame.
+    #[must_use]
+    pub fn frame(self) -> Frame {
+        make(Function::Estop, self.node, &[self.reason])
+    }
+
+    /// From a frame. A remote frame and an empty payload count too: an emergency stop is obeyed whatever it carries.
+    #[must_use]
+    pub fn parse(frame: &Frame) -> Option<Self> {
+        let found = address(frame.standard_id()?)?;
+        (found.message.function == Function::Estop)
+            .then(|| Self { node: found.node, reason: frame.payload().first().copied().unwrap_or(0) })
+    }
+}
+
+/// TICK.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tick {
+    /// Number of the control period, modulo 2^32.
+    pub tick: u32,
+    /// Time in microseconds, modulo 2^32.
+    pub time_us: u32,
+}
+
+impl Tick {
+    /// As a frame.
+    #[must_use]
+    pub fn frame(self) -> Frame {
+        let ([a, b, c, d], [e, f, g, h]) = (self.tick.to_le_bytes(), self.time_us.to_le_bytes());
+        make(Function::Tick, 0, &[a, b, c, d, e, f, g, h])
+    }
+
+    /// From a frame; `None` where it is something else.
+    #[must_use]
+    pub fn parse(frame: &Frame) -> Option<Self> {
+        let (_, [a, b, c, d, e, f, g, h]) = read(frame, Function::Tick)?;
+        Some(Self { tick: u32::from_le_bytes([a, b, c, d]), time_us: u32::from_le_bytes([e, f, g, h]) })
+    }
+}
+
+/// What the value of a heartbeat or of a reply means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Page {
+    /// Low half of the interface hash.
+    InterfaceLow = 0,
+    /// High half of the interface hash.
+    InterfaceHigh = 1,
+    /// CRC-32 of the policy image.
+    PolicyCrc = 2,
+    /// Slot that the policy came from.
+    Slot = 3,
+    /// Time of the last inference, µs; 0 where the board does not measure it.
+    InferenceUs = 4,
+    /// Control periods without a good observation set.
+    Misses = 5,
+    /// Low half: largest deviation of the last 64 periods, per mille. High half: mean deviation, per mille, signed.
+    Jitter = 6,
+    /// Frames dropped for a wrong CRC, length or hash.
+    CrcErrors = 7,
+    /// Observation sets dropped as incomplete.
+    TornSets = 8,
+    /// Ticks and parts ignored as duplicate or out of sequence.
+    Sequence = 9,
+    /// Observation sets with an invalid value.
+    Invalid = 10,
+    /// Entries into SAFE.
+    SafeEntries = 11,
+}
+
+impl Page {
+    /// All pages in the order in which heartbeats show them.
+    pub const ALL: [Self; 12] = [
+        Self::InterfaceLow,
+        Self::InterfaceHigh,
+        Self::PolicyCrc,
+        Self::Slot,
+        Self::InferenceUs,
+        Self::Misses,
+        Self::Jitter,
+        Self::CrcErrors,
+        Self::TornSets,
+        Self::Sequence,
+        Self::Invalid,
+        Self::SafeEntries,
+    ];
+
+    /// The number on the wire.
+    #[must_use]
+    pub const fn code(self) -> u8 {
+        self as u8
+    }
+
+    /// Name, as decoders print it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::InterfaceLow => "interface_low",
+            Self::InterfaceHigh => "interface_high",
+            Self::PolicyCrc => "policy_crc",
+            Self::Slot => "slot",
+            Self::InferenceUs => "inference_us",
+            Self::Misses => "misses",
+            Self::Jitter => "jitter",
+            Self::CrcErrors => "crc_errors",
+            Self::TornSets => "torn_sets",
+            Self::Sequence => "sequence",
+            Self::Invalid => "invalid",
+            Self::SafeEntries => "safe_entries",
+        }
+    }
+
+    /// The page of a number.
+    #[must_use]
+    pub fn from_code(code: u8) -> Option<Self> {
+        Self::ALL.into_iter().find(|p| p.code() == code)
+    }
+}
+
+/// HEARTBEAT of a node. State and fault stay numbers here, so that a newer node can be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Heartbeat {
+    /// Sender.
+    pub node: u8,
+    /// [`State`](crate::safety::State) code.
+    pub state: u8,
+    /// [`Page`] code.
+    pub page: u8,
+    /// [`Fault`](crate::safety::Fault) code.
+    pub fault: u8,
+    /// Counts heartbeats.
+    pub seq: u8,
+    /// Value of the page.
+    pub value: u32,
+}
+
+impl Heartbeat {
+    /// As a frame.
+    #[must_use]
+    pub fn frame(self) -> Frame {
+        let [a, b, c, d] = self.value.to_le_bytes();
+        make(Function::Heartbeat, self.node, &[self.state, self.page, self.fault, self.seq, a, b, c, d])
+    }
+
+    /// From a frame; `None` where it is something else.
+    #[must_use]
+    pub fn parse(frame: &Frame) -> Option<Self> {
+        let (node, [state, page, fault, seq, a, b, c, d]) = read(frame, Function::Heartbeat)?;
+        Some(Self { node, state, page, fault, seq, value: u32::from_le_bytes([a, b, c, d]) })
+    }
+}
+
+/// HOST_HEARTBEAT.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HostHeartbeat {
+    /// Counts heartbeats.
+    pub seq: u8,
+}
+
+impl HostHeartbeat {
+    /// As a frame.
+    #[must_use]
+    pub fn frame(self) -> Frame {
+        make(Function::HostHeartbeat, 0, &[self.seq])
+    }
+
+    /// From a frame; `None` where it is something else.
+    #[must_use]
+    pub fn parse(frame: &Frame) -> Option<Self> {
+        let (_, [seq]) = read(frame, Function::HostHeartbeat)?;
+        Some(Self { seq })
+    }
+}
+
+/// Operation: read a page.
+pub const OP_READ: u8 = 1;
+/// Operation of a reply that refuses.
+pub const OP_REFUSED: u8 = 0xFF;
+
+/// REQUEST.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Request {
+    /// Which node.
+    pub node: u8,
+    /// Operation, see [`OP_READ`].
+    pub op: u8,
+    /// [`Page`] code.
+    pub page: u8,
+    /// Returned unchanged in the reply.
+    pub tag: u16,
+}
+
+impl Request {
+    /// As a frame.
+    #[must_use]
+    pub fn frame(self) -> Frame {
+        let [a, b] = self.tag.to_le_bytes();
+        make(Function::Request, self.node, &[self.op, self.page, a, b])
+    }
+
+    /// From a frame; `None` where it is something else.
+    #[must_use]
+    pub fn parse(frame: &Frame) -> Option<Self> {
+        let (node, [op, page, a, b]) = read(frame, Function::Request)?;
+        Some(Self { node, op, page, tag: u16::from_le_bytes([a, b]) })
+    }
+}
+
+/// REPLY.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reply {
+    /// Which node answers.
+    pub node: u8,
+    /// Operation answered, or [`OP_REFUSED`].
+    pub op: u8,
+    /// [`Page`] code asked for.
+    pub page: u8,
+    /// Tag of the request.
+    pub tag: u16,
+    /// Value of the page, or the operation that was refused.
+    pub value: u32,
+}
+
+impl Reply {
+    /// As a frame.
+    #[must_use]
+    pub fn frame(self) -> Frame {
+        let ([t0, t1], [a, b, c, d]) = (self.tag.to_le_bytes(), self.value.to_le_bytes());
+        make(Function::Reply, self.node, &[self.op, self.page, t0, t1, a, b, c, d])
+    }
+
+    /// From a frame; `None` where it is something else.
+    #[must_use]
+    pub fn parse(frame: &Frame) -> Option<Self> {
+        let (node, [op, page, t0, t1, a, b, c, d]) = read(frame, Function::Reply)?;
+        let (tag, value) = (u16::from_le_bytes([t0, t1]), u32::from_le_bytes([a, b, c, d]));
+        Some(Self { node, op, page, tag, value })
+    }
+}
+
+/// True where a command for `addressed` (0 = all) concerns `node`.
+#[must_use]
+pub fn concerns(addressed: u8, node: NodeId) -> bool {
+    addressed == 0 || addressed == node.get()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_service_message_survives_the_wire() {
+        for command in [ModeCommand::Run, ModeCommand::Stop, ModeCommand::Reset] {
+            let m = Mode { command, node: 7 };
+            assert_eq!(Mode::parse(&m.frame()), Some(m));
+        }
+        let t = Tick { tick: 0x0102_0304, time_us: 0xA0B0_C0D0 };
+        assert_eq!(t.frame().payload(), [4, 3, 2, 1, 0xD0, 0xC0, 0xB0, 0xA0]);
+        assert_eq!(Tick::parse(&t.frame()), Some(t));
+        let h = Heartbeat { node: 1, state: 4, page: 6, fault: 3, seq: 255, value: 0xDEAD_BEEF };
+        assert_eq!(Heartbeat::parse(&h.frame()), Some(h));
+        let r = Request { node: 3, op: OP_READ, page: 2, tag: 0xBEEF };
+        assert_eq!(Request::parse(&r.frame()), Some(r));
+        let a = Reply { node: 3, op: OP_REFUSED, page: 2, tag: 0xBEEF, value: 9 };
+        assert_eq!(Reply::parse(&a.frame()), Some(a));
+        let l = HostHeartbeat { seq: 9 };
+        assert_eq!(HostHeartbeat::parse(&l.frame()), Some(l));
+    }
+
+    #[test]
+    fn estop_is_obeyed_without_payload_and_as_remote_frame() {
+        let bare = Frame::classic(standard(0x013), &[]).unwrap();
+        assert_eq!(Estop::parse(&bare), Some(Estop { node: 3, reason: 0 }));
+        let remote = Frame::remote(standard(0x010), 0).unwrap();
+        assert_eq!(Estop::parse(&remote), Some(Estop { node: 0, reason: 0 }));
+    }
+
+    #[test]
+    fn short_foreign_and_unknown_frames_are_refused() {
+        assert_eq!(Tick::parse(&Frame::classic(standard(0x080), &[0; 7]).unwrap()), None);
+        assert_eq!(Mode::parse(&Frame::classic(standard(0x000), &[77, 0]).unwrap()), None);
+        assert_eq!(Mode::parse(&Tick { tick: 0, time_us: 0 }.frame()), None);
+        assert_eq!(Mode::parse(&Frame::classic(crate::frame::extended(0), &[1, 0]).unwrap()), None);
+    }
+}
