@@ -72,6 +72,15 @@ pub enum LoadError {
         /// Hash of the record.
         found: u64,
     },
+    /// A section is shorter or longer than its content.
+    SectionLength {
+        /// Which.
+        section: Section,
+        /// Bytes that its content needs.
+        expected: usize,
+        /// Bytes that the section table gives it.
+        found: usize,
+    },
     /// A field holds a value that the format does not allow.
     Field {
         /// Where.
@@ -101,12 +110,21 @@ pub enum LoadError {
         /// Offset of the text from the start of the file, in bytes.
         offset: usize,
     },
-    /// A byte or weight that only pads is not zero.
+    /// A byte that only pads is not zero.
     Padding {
         /// Where.
         section: Section,
         /// Offset of the padding from the start of the file, in bytes.
         offset: usize,
+    },
+    /// A weight, start value or multiplier of a padding row or column is not zero.
+    PaddedWeight {
+        /// Where.
+        section: Section,
+        /// Layer, from 0.
+        layer: u16,
+        /// Output row, from 0.
+        row: u16,
     },
     /// A weight is outside of -127..=127.
     Weight {

@@ -1,6 +1,21 @@
 //! The interface record: what a policy expects to see and what it drives.
+//!
+//! The records stay in the image and are decoded when asked for; `load` has checked every one.
 
+use crate::fields::{f32_at, text_at, u16_at, u32_at};
 use crate::space::ActionHead;
+
+/// Bytes of the fixed part of the section.
+pub(crate) const INTERFACE_HEAD: usize = 16;
+/// Bytes of an observation record.
+pub(crate) const OBSERVATION_LEN: usize = 16;
+/// Bytes of an action record.
+pub(crate) const ACTION_LEN: usize = 24;
+
+/// Codes of [`ActionHead`] in an action record.
+pub(crate) const HEAD_CONTINUOUS: u16 = 0;
+pub(crate) const HEAD_DISCRETE: u16 = 1;
+pub(crate) const HEAD_BINARY: u16 = 2;
 
 /// One observation signal.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,4 +41,139 @@ pub struct ActionSignal<'a> {
     pub head: ActionHead,
     /// Value that brings the actuator to a safe state, in that unit.
     pub safe: f32,
+}
+
+/// The records of the interface section.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct InterfaceView<'a> {
+    pub(crate) observations: &'a [[u8; OBSERVATION_LEN]],
+    pub(crate) actions: &'a [[u8; ACTION_LEN]],
+    pub(crate) text: &'a [u8],
+    pub(crate) control_period_us: u32,
+}
+
+impl<'a> InterfaceView<'a> {
+    pub(crate) fn observation_signals(self) -> impl Iterator<Item = ObservationSignal<'a>> + Clone + use<'a> {
+        self.observations.iter().map(move |record| self.observation(record))
+    }
+
+    pub(crate) fn action_signals(self) -> impl Iterator<Item = ActionSignal<'a>> + Clone + use<'a> {
+        self.actions.iter().map(move |record| self.action(record))
+    }
+
+    /// Name and unit of a record of either kind.
+    fn texts(self, record: &[u8]) -> (&'a str, &'a str) {
+        let at = u32_at(record, 0).unwrap_or_default() as usize;
+        let name_len = usize::from(u16_at(record, 4).unwrap_or_default());
+        let unit_len = usize::from(u16_at(record, 6).unwrap_or_default());
+        (text_at(self.text, at, name_len), text_at(self.text, at.wrapping_add(name_len), unit_len))
+    }
+
+    fn observation(self, record: &[u8; OBSERVATION_LEN]) -> ObservationSignal<'a> {
+        let (name, unit) = self.texts(record);
+        let lo = f32_at(record, 8).unwrap_or_default();
+        ObservationSignal { name, unit, lo, hi: f32_at(record, 12).unwrap_or_default() }
+    }
+
+    fn action(self, record: &[u8; ACTION_LEN]) -> ActionSignal<'a> {
+        let (name, unit) = self.texts(record);
+        ActionSignal { name, unit, head: action_head(record), safe: f32_at(record, 20).unwrap_or_default() }
+    }
+}
+
+/// The head of an action record.
+pub(crate) fn action_head(record: &[u8; ACTION_LEN]) -> ActionHead {
+    match u16_at(record, 8) {
+        Some(HEAD_DISCRETE) => ActionHead::Discrete { n: u16_at(record, 10).unwrap_or_default() },
+        Some(HEAD_BINARY) => ActionHead::Binary,
+        _ => ActionHead::Continuous {
+            lo: f32_at(record, 12).unwrap_or_default(),
+            hi: f32_at(record, 16).unwrap_or_default(),
+        },
+    }
+}
+
+/// Hash of an interface: FNV-1a, 64 bits, over a byte stream that does not depend on the file format.
+///
+/// The stream is: control period (u32); number of observations (u16), then per observation name, `0x00`, unit, `0x00`,
+/// lo, hi (f32); number of actions (u16), then per action name, `0x00`, unit, `0x00`, kind (u16: 0 continuous,
+/// 1 discrete, 2 binary), n (u16), lo, hi, safe (f32). Numbers are little endian; unused numbers are zero.
+pub(crate) fn interface_hash(interface: InterfaceView<'_>) -> u64 {
+    let mut hash = Fnv::new();
+    hash.feed(&interface.control_period_us.to_le_bytes());
+    hash.feed(&count16(interface.observations.len()).to_le_bytes());
+    for (signal, record) in interface.observation_signals().zip(interface.observations) {
+        hash.text(signal.name);
+        hash.text(signal.unit);
+        hash.feed(record.get(8..).unwrap_or_default());
+    }
+    hash.feed(&count16(interface.actions.len()).to_le_bytes());
+    for (signal, record) in interface.action_signals().zip(interface.actions) {
+        hash.text(signal.name);
+        hash.text(signal.unit);
+        hash.feed(record.get(8..).unwrap_or_default());
+    }
+    hash.0
+}
+
+/// Counts are at most 512 here.
+fn count16(count: usize) -> u16 {
+    u16::try_from(count).unwrap_or(u16::MAX)
+}
+
+struct Fnv(u64);
+
+impl Fnv {
+    const fn new() -> Self {
+        Self(0xCBF2_9CE4_8422_2325)
+    }
+
+    fn feed(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01B3);
+        }
+    }
+
+    fn text(&mut self, text: &str) {
+        self.feed(text.as_bytes());
+        self.feed(&[0]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Fnv, InterfaceView, interface_hash};
+
+    #[test]
+    fn fnv_matches_the_published_vectors() {
+        let mut hash = Fnv::new();
+        hash.feed(b"");
+        assert_eq!(hash.0, 0xCBF2_9CE4_8422_2325);
+        hash.feed(b"a");
+        assert_eq!(hash.0, 0xAF63_DC4C_8601_EC8C);
+        let mut hash = Fnv::new();
+        hash.feed(b"foobar");
+        assert_eq!(hash.0, 0x8594_4171_F739_67E8);
+    }
+
+    #[test]
+    fn the_hash_sees_names_units_ranges_and_period() {
+        let record = |lo: f32| {
+            let mut bytes = [0; 16];
+            bytes[4] = 2;
+            bytes[6] = 1;
+            bytes[8..12].copy_from_slice(&lo.to_le_bytes());
+            bytes
+        };
+        let hash = |text: &[u8], lo: f32, period| {
+            let view = InterfaceView { observations: &[record(lo)], actions: &[], text, control_period_us: period };
+            interface_hash(view)
+        };
+        let base = hash(b"abm", 0.0, 10);
+        assert_ne!(base, hash(b"acm", 0.0, 10));
+        assert_ne!(base, hash(b"abs", 0.0, 10));
+        assert_ne!(base, hash(b"abm", 1.0, 10));
+        assert_ne!(base, hash(b"abm", 0.0, 11));
+        assert_eq!(base, hash(b"abm", 0.0, 10));
+    }
 }

@@ -1,26 +1,62 @@
 //! `no_std` inference of one GADM policy.
 #![no_std]
 #![forbid(unsafe_code)]
+#![warn(
+    clippy::indexing_slicing,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::cast_possible_truncation,
+    clippy::cast_possible_wrap,
+    clippy::cast_precision_loss,
+    clippy::cast_sign_loss
+)]
+#![cfg_attr(
+    test,
+    allow(
+        clippy::indexing_slicing,
+        clippy::expect_used,
+        clippy::panic,
+        clippy::unwrap_used,
+        clippy::cast_possible_truncation,
+        clippy::cast_precision_loss,
+        clippy::cast_sign_loss,
+        reason = "tests may panic and compute on the host"
+    )
+)]
 
-#[cfg(feature = "encode")]
+#[cfg(any(test, feature = "encode"))]
+#[cfg_attr(test, macro_use)]
 extern crate std;
 
+mod argmax;
+mod decoder;
 #[cfg(feature = "encode")]
 pub mod encode;
 mod error;
+mod fields;
 mod interface;
+pub mod kernels;
+mod load;
+mod load_net;
 mod mask;
+mod net;
+mod part;
 mod policy;
+mod prove;
 mod provenance;
+pub mod quant;
 pub mod schema;
 mod scratch;
+mod self_test;
+mod sizes;
 pub mod space;
 
 pub use error::{ActError, LoadError, SelfTestError};
 pub use interface::{ActionSignal, ObservationSignal};
 pub use mask::LatentMask;
-pub use policy::{Decision, Policy};
+pub use policy::{Decision, InputQuantiser, Policy};
 pub use provenance::{Provenance, ReturnStats};
-pub use schema::{Header, PolicySpec, WeightKind};
-pub use scratch::{Scratch, scratch_words};
+pub use schema::{Header, PolicySpec, Section, WeightKind};
+pub use scratch::{Scratch, scratch_words, scratch_words_float};
+pub use sizes::{LayerShape, SectionSizes};
 pub use space::ActionHead;

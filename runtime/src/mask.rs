@@ -1,5 +1,6 @@
-//! The set of latents that the confidence network allows.
+//! The set of latents that the confidence network allows, and the rule that makes it, in integers.
 
+use crate::kernels::{ONE, exp2_neg};
 use crate::schema::MAX_LATENTS;
 
 const WORDS: usize = MAX_LATENTS / 32;
@@ -55,5 +56,106 @@ impl LatentMask {
     /// The latents of the set, rising.
     pub fn iter(&self) -> impl Iterator<Item = u16> + '_ {
         (0u16..=255).filter(|&latent| self.contains(latent))
+    }
+}
+
+/// `softmax(logits)_k > num / den`.
+///
+/// Source: the mask of the GADM paper, `M(s)[k] = C(s)[k] > beta`, with the rules for an empty mask: first all latents
+/// if the confidences are equal within 1e-6 (an untrained predictor), else the most confident latent alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct MaskRule {
+    /// Numerator of the threshold, below `den`.
+    pub(crate) num: u32,
+    /// Denominator of the threshold, at most 2^24.
+    pub(crate) den: u32,
+    /// Fraction bits of the logits, in log2 units.
+    pub(crate) frac_bits: u32,
+}
+
+impl MaskRule {
+    /// The allowed set and whether the empty-mask rule made it. `logits` are `i32` as words; they are overwritten with
+    /// the exponentials.
+    pub(crate) fn allowed(self, logits: &mut [u32]) -> (LatentMask, bool) {
+        let top = logits.iter().map(|&word| word.cast_signed()).max().unwrap_or(0);
+        let mut sum = 0u64;
+        let mut least = ONE;
+        for word in logits.iter_mut() {
+            // `load` keeps logits below 2^30 in magnitude, so the difference fits.
+            let below = top.wrapping_sub(word.cast_signed()).cast_unsigned();
+            let e = exp2_neg(below, self.frac_bits);
+            sum = sum.wrapping_add(u64::from(e));
+            least = least.min(e);
+            *word = e;
+        }
+        // At most 256 * 2^30 * 2^24 = 2^62.
+        let threshold = sum.wrapping_mul(u64::from(self.num));
+        let mut mask = LatentMask::empty();
+        for (latent, &e) in (0u16..).zip(logits.iter()) {
+            if u64::from(e).wrapping_mul(u64::from(self.den)) > threshold {
+                mask.insert(latent);
+            }
+        }
+        if !mask.is_empty() {
+            return (mask, false);
+        }
+        if u64::from(ONE.wrapping_sub(least)).wrapping_mul(1_000_000) < sum {
+            for (latent, _) in (0u16..).zip(logits.iter()) {
+                mask.insert(latent);
+            }
+        } else if let Some((latent, _)) = (0u16..).zip(logits.iter()).find(|&(_, &e)| e == ONE) {
+            mask.insert(latent);
+        }
+        (mask, true)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{LatentMask, MaskRule};
+
+    const F: u32 = 16;
+
+    /// Logits in log2 units with 16 fraction bits.
+    fn allowed(probabilities: &[f64], num: u32, den: u32) -> (std::vec::Vec<u16>, bool) {
+        let mut logits: std::vec::Vec<u32> =
+            probabilities.iter().map(|p| ((p.log2() * 65536.0).round() as i32).cast_unsigned()).collect();
+        let (mask, fallback) = MaskRule { num, den, frac_bits: F }.allowed(&mut logits);
+        (mask.iter().collect(), fallback)
+    }
+
+    #[test]
+    fn latents_above_the_threshold_are_allowed() {
+        assert_eq!(allowed(&[0.568, 0.273, 0.158, 0.001], 1, 4), (vec![0, 1], false));
+        assert_eq!(allowed(&[0.734, 0.089, 0.089, 0.088], 1, 4), (vec![0], false));
+        assert_eq!(allowed(&[0.376, 0.312, 0.312, 1e-9], 1, 4), (vec![0, 1, 2], false));
+    }
+
+    #[test]
+    fn the_threshold_is_strict() {
+        assert_eq!(allowed(&[0.5, 0.25, 0.25], 1, 4), (vec![0], false));
+        assert_eq!(allowed(&[0.5, 0.25, 0.25], 1, 5), (vec![0, 1, 2], false));
+    }
+
+    #[test]
+    fn an_untrained_predictor_allows_everything_and_says_so() {
+        assert_eq!(allowed(&[0.25; 4], 1, 4), (vec![0, 1, 2, 3], true));
+    }
+
+    #[test]
+    fn otherwise_an_empty_mask_takes_the_most_confident_lowest_latent() {
+        assert_eq!(allowed(&[0.2, 0.3, 0.3, 0.2], 3, 8), (vec![1], true));
+    }
+
+    #[test]
+    fn sets_hold_up_to_256_latents() {
+        let mut mask = LatentMask::empty();
+        mask.insert(0);
+        mask.insert(255);
+        mask.insert(256);
+        assert_eq!(mask.iter().collect::<std::vec::Vec<_>>(), [0, 255]);
+        assert_eq!(LatentMask::full(256).len(), 256);
+        assert_eq!(LatentMask::full(33).len(), 33);
+        assert!(!mask.contains(1));
     }
 }

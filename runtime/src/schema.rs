@@ -15,6 +15,10 @@ pub const RUNTIME_ABI: u32 = 1;
 pub const MAGIC: [u8; 8] = [0x89, b'G', b'D', b'M', b'\r', b'\n', 0x1A, b'\n'];
 /// Bytes of the header.
 pub const HEADER_LEN: usize = 64;
+/// Bytes of the section table, padding included.
+pub const TABLE_LEN: usize = 64;
+/// Bytes before the content of a trailer record.
+pub const TRAILER_HEAD: usize = 16;
 /// Every section starts at a multiple of this from the start of the file.
 pub const SECTION_ALIGN: usize = 16;
 /// The address of the image in memory must be a multiple of this.

@@ -43,3 +43,27 @@ pub const fn scratch_words(
     let head = head_rows.next_multiple_of(4);
     input + 2 * hidden + if select > head { select } else { head }
 }
+
+/// As [`scratch_words`], for a policy with `f32` weights.
+#[must_use]
+pub const fn scratch_words_float(
+    obs_dim: usize,
+    hidden_width: usize,
+    num_latents: usize,
+    confidence: bool,
+    head_rows: usize,
+) -> usize {
+    let select = if confidence { num_latents * 2 } else { num_latents };
+    obs_dim + 2 * hidden_width + if select > head_rows { select } else { head_rows }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{scratch_words, scratch_words_float};
+
+    #[test]
+    fn the_hopper_networks_fit_in_1680_bytes() {
+        assert_eq!(scratch_words(11, 256, 64, true, 153) * 4, 1680);
+        assert_eq!(scratch_words_float(11, 256, 64, true, 153) * 4, 2704);
+    }
+}

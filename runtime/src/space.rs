@@ -31,7 +31,7 @@ impl ActionHead {
     #[must_use]
     pub fn denormalise(self, a: f32) -> f32 {
         match self {
-            Self::Continuous { lo, hi } => (lo + (hi - lo) * ((a + 1.0) * 0.5)).clamp(lo, hi),
+            Self::Continuous { lo, hi } => bounded(lo + (hi - lo) * ((a + 1.0) * 0.5), lo, hi),
             Self::Discrete { .. } | Self::Binary => a,
         }
     }
@@ -40,9 +40,20 @@ impl ActionHead {
     #[must_use]
     pub fn normalise(self, a: f32) -> f32 {
         match self {
-            Self::Continuous { lo, hi } => ((a - lo) / (hi - lo) * 2.0 - 1.0).clamp(-1.0, 1.0),
+            Self::Continuous { lo, hi } => bounded((a - lo) / (hi - lo) * 2.0 - 1.0, -1.0, 1.0),
             Self::Discrete { .. } | Self::Binary => a,
         }
+    }
+}
+
+/// `clamp` without its panic on unordered bounds.
+fn bounded(x: f32, lo: f32, hi: f32) -> f32 {
+    if x < lo {
+        lo
+    } else if x > hi {
+        hi
+    } else {
+        x
     }
 }
 

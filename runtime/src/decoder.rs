@@ -1,0 +1,146 @@
+//! Head values to actions: tanh, categorical expectation with snap, types and switches.
+
+use crate::argmax::argmax;
+use crate::interface::{ACTION_LEN, action_head};
+use crate::kernels::{ONE, exp2_neg};
+use crate::net::{
+    ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, ENCODING_TYPES, HEAD_LEN, SNAP_ANY, SNAP_EDGES,
+};
+
+/// Gives `sink` one value per slot, in native units. `logits` are the rows of the head layer, `i32` as words, in log2
+/// units with `frac_bits` fraction bits.
+pub(crate) fn emit_heads(
+    heads: &[[u8; HEAD_LEN]],
+    actions: &[[u8; ACTION_LEN]],
+    frac_bits: u32,
+    logits: &mut [u32],
+    mut sink: impl FnMut(usize, f32),
+) {
+    let mut rest = logits;
+    for (slot, (head, record)) in heads.iter().zip(actions).enumerate() {
+        let &[kind, snap, low, high] = head;
+        let rows = usize::from(u16::from_le_bytes([low, high]));
+        let (rows, after) = rest.split_at_mut_checked(rows).unwrap_or_default();
+        rest = after;
+        let raw = match kind {
+            ENCODING_TANH => tanh(rows.first().map_or(0, |&word| word.cast_signed()), frac_bits),
+            ENCODING_CATEGORICAL => categorical(rows, frac_bits, snap),
+            ENCODING_TYPES => f32::from(argmax(rows)),
+            ENCODING_SWITCH => f32::from(u8::from(rows.first().is_some_and(|&word| word.cast_signed() > 0))),
+            _ => 0.0,
+        };
+        sink(slot, action_head(record).denormalise(raw));
+    }
+}
+
+/// `tanh` of a logit: `(1 - e) / (1 + e)` with `e = exp(-2 |l|)`, the exponential in fixed point and one division.
+fn tanh(logit: i32, frac_bits: u32) -> f32 {
+    let e = exp2_neg(logit.unsigned_abs().wrapping_mul(2), frac_bits);
+    let magnitude = ratio(u64::from(ONE.wrapping_sub(e)), u64::from(ONE.wrapping_add(e)));
+    if logit < 0 { -magnitude } else { magnitude }
+}
+
+/// Expectation of the softmax over atoms at `-1 + 2 j / (J - 1)`, or an atom itself under the snap rule.
+///
+/// Source: GADM paper, extreme action regression; probability 0.9 or more snaps.
+fn categorical(logits: &mut [u32], frac_bits: u32, snap: u8) -> f32 {
+    let top = logits.iter().map(|&word| word.cast_signed()).max().unwrap_or(0);
+    let last = logits.len().saturating_sub(1) as u64;
+    let (mut sum, mut moment) = (0u64, 0u64);
+    for (j, word) in (0u64..).zip(logits.iter_mut()) {
+        let e = exp2_neg(top.wrapping_sub(word.cast_signed()).cast_unsigned(), frac_bits);
+        sum = sum.wrapping_add(u64::from(e));
+        moment = moment.wrapping_add(u64::from(e).wrapping_mul(j));
+        *word = e;
+    }
+    // Only an atom of the largest logit can hold 0.9; there is one such atom then.
+    if snap != 0 && u64::from(ONE).wrapping_mul(10) >= sum.wrapping_mul(9) {
+        let atom = (0u64..).zip(logits.iter()).find(|&(_, &e)| e == ONE).map_or(0, |(j, _)| j);
+        if snap == SNAP_ANY || (snap == SNAP_EDGES && (atom == 0 || atom == last)) {
+            return support(atom, last);
+        }
+    }
+    // sum_j e_j (2 j - last) / (last * sum_j e_j), by sign and magnitude.
+    let (twice, centre) = (moment.wrapping_mul(2), sum.wrapping_mul(last));
+    if twice < centre { -ratio(centre.wrapping_sub(twice), centre) } else { ratio(twice.wrapping_sub(centre), centre) }
+}
+
+/// Value of atom `j` of `0..=last` on -1..=1.
+fn support(j: u64, last: u64) -> f32 {
+    let twice = j.wrapping_mul(2);
+    if twice < last { -ratio(last.wrapping_sub(twice), last) } else { ratio(twice.wrapping_sub(last), last) }
+}
+
+/// `n / d` as the quotient of the nearest `f32`s: both conversions and the division are IEEE, so the bits are the same
+/// everywhere.
+#[expect(clippy::cast_precision_loss, reason = "rounds to the nearest f32, as stated")]
+fn ratio(n: u64, d: u64) -> f32 {
+    if d == 0 { 0.0 } else { n as f32 / d as f32 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{categorical, support, tanh};
+    use crate::net::{SNAP_ANY, SNAP_EDGES, SNAP_NONE};
+    use std::vec::Vec;
+
+    const F: u32 = 20;
+
+    fn fixed(l: f64) -> i32 {
+        (l * std::f64::consts::LOG2_E * f64::from(1 << F)).round() as i32
+    }
+
+    fn logits(values: &[f64]) -> Vec<u32> {
+        values.iter().map(|&l| fixed(l).cast_unsigned()).collect()
+    }
+
+    #[test]
+    fn tanh_is_within_a_millionth() {
+        for i in -4000..=4000 {
+            let l = f64::from(i) / 400.0;
+            assert!((f64::from(tanh(fixed(l), F)) - l.tanh()).abs() < 1e-6, "{l}");
+        }
+        assert_eq!(tanh(0, F), 0.0);
+        assert_eq!(tanh(1 << 29, F), 1.0);
+        assert_eq!(tanh(-(1 << 29), F), -1.0);
+    }
+
+    #[test]
+    fn the_expectation_is_that_of_the_softmax() {
+        let values = [0.3f64, -1.2, 2.0, 0.7, -0.1];
+        let sum: f64 = values.iter().map(|l| l.exp()).sum();
+        let mean: f64 = values.iter().enumerate().map(|(j, l)| l.exp() / sum * (j as f64 * 0.5 - 1.0)).sum();
+        assert!((f64::from(categorical(&mut logits(&values), F, SNAP_ANY)) - mean).abs() < 1e-6);
+        assert_eq!(categorical(&mut logits(&[1.0, 1.0, 1.0]), F, SNAP_NONE), 0.0);
+    }
+
+    /// Three atoms, the named one with probability `p`.
+    fn with_probability(atom: usize, p: f64) -> Vec<u32> {
+        let mut values = [((1.0 - p) / 2.0).ln(); 3];
+        values[atom] = p.ln();
+        logits(&values)
+    }
+
+    #[test]
+    fn an_atom_of_nine_tenths_snaps_by_the_rule() {
+        assert_eq!(categorical(&mut with_probability(2, 0.901), F, SNAP_EDGES), 1.0);
+        assert_eq!(categorical(&mut with_probability(0, 0.901), F, SNAP_EDGES), -1.0);
+        assert_eq!(categorical(&mut with_probability(1, 0.901), F, SNAP_ANY), 0.0);
+        assert!((categorical(&mut with_probability(2, 0.901), F, SNAP_NONE) - 0.8515).abs() < 1e-4);
+        assert!((categorical(&mut with_probability(2, 0.899), F, SNAP_EDGES) - 0.8485).abs() < 1e-4);
+    }
+
+    #[test]
+    fn an_inner_atom_does_not_snap_by_the_edge_rule() {
+        let mut values = [-3.0; 5];
+        values[3] = 4.0;
+        let expectation = categorical(&mut logits(&values), F, SNAP_EDGES);
+        assert!(expectation != 0.5 && (expectation - 0.5).abs() < 0.01);
+        assert_eq!(categorical(&mut logits(&values), F, SNAP_ANY), 0.5);
+    }
+
+    #[test]
+    fn supports_are_equally_spaced() {
+        assert_eq!([0, 1, 2, 3, 4].map(|j| support(j, 4)), [-1.0, -0.5, 0.0, 0.5, 1.0]);
+    }
+}
