@@ -4,6 +4,9 @@
 //! that serde itself names (an `Option` that is `None` does not appear in TOML). A table may be an enum with data, tagged
 //! with [`TAG`]: naming another variant replaces the table by that variant's own defaults, which must therefore exist
 //! (`#[serde(default)]` on the variant's struct). Maps with free keys are not supported.
+//!
+//! Settings are applied and checked one by one, so that a refusal names its line; relations between settings are to be
+//! checked on the resolved configuration.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -109,9 +112,9 @@ pub enum ConfigError {
         /// The nearest accepted value.
         suggestion: Option<String>,
     },
-    /// The values are acceptable one by one but not together.
-    #[error("the settings do not fit together: {0}")]
-    Combination(String),
+    /// The defaults, once written as TOML, are not a configuration: an error of the program.
+    #[error("the default configuration cannot be read back: {0}")]
+    Defaults(String),
     /// The configuration cannot be expressed in TOML, such as an integer beyond 63 bits.
     #[error("the configuration cannot be written as TOML: {0}")]
     Serialise(#[from] toml::ser::Error),
@@ -164,6 +167,8 @@ pub fn resolve_with_optional<T: Serialize + DeserializeOwned + Default>(
 ) -> Result<T, ConfigError> {
     let mut resolver =
         Resolver { tree: Table::try_from(T::default())?, optional_keys, check: check::<T>, normalise: normalise::<T> };
+    // A later refusal would be blamed on the setting that is being applied.
+    (resolver.check)(&resolver.tree).map_err(ConfigError::Defaults)?;
     for layer in layers {
         match layer {
             Layer::Toml { origin, text } => {
@@ -184,7 +189,7 @@ pub fn resolve_with_optional<T: Serialize + DeserializeOwned + Default>(
             }
         }
     }
-    T::deserialize(resolver.tree).map_err(|error| ConfigError::Combination(message_of(&error)))
+    T::deserialize(resolver.tree).map_err(|error| ConfigError::Defaults(message_of(&error)))
 }
 
 /// The configuration as a TOML document that [`resolve`] reads back.

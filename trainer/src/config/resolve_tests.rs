@@ -237,6 +237,18 @@ fn a_struct_that_accepts_unknown_fields_is_still_checked() {
 }
 
 #[test]
+fn defaults_that_do_not_read_back_are_not_blamed_on_a_setting() {
+    #[derive(Debug, Default, Serialize, Deserialize)]
+    struct Broken {
+        seed: u32,
+        #[serde(skip_serializing)]
+        hidden: u32,
+    }
+    let error = resolve::<Broken>(&[set("seed=1")]).unwrap_err();
+    assert!(matches!(error, ConfigError::Defaults(_)), "{error}");
+}
+
+#[test]
 fn bad_syntax_is_said_with_its_place() {
     let text = error_of(&[file("seed = 1\nenv = \n")]);
     assert!(text.starts_with("pendulum.toml: not valid TOML") && text.contains("line 2"), "{text}");

@@ -40,6 +40,7 @@ fn scatter(area: &Area<'_>, pairs: &[(f64, f64)], unit: &str) -> Result<(), Plot
         x: range.clone(),
         y: range.clone(),
         whole_x: false,
+        least_y_label_px: 0,
     };
     let mut chart = chart(area, &axes)?;
     let diagonal = [(range.start, range.start), (range.end, range.end)];
@@ -63,12 +64,13 @@ fn histogram(area: &Area<'_>, pairs: &[(f64, f64)], unit: &str) -> Result<(), Pl
         x: -half_range..half_range,
         y: 0.0..highest * 1.05,
         whole_x: false,
+        least_y_label_px: 0,
     };
     let mut chart = chart(area, &axes)?;
     let width = 2.0 * half_range / BINS as f64;
     let bars = counts.iter().enumerate().filter(|&(_, &count)| count > 0).map(|(i, &count)| {
         let left = -half_range + width * i as f64;
-        Rectangle::new([(left, 0.0), (left + width, share(count))], data_color(0).filled())
+        Rectangle::new([(left + 0.04 * width, 0.0), (left + 0.96 * width, share(count))], data_color(0).filled())
     });
     chart.draw_series(bars).map_err(draw_error)?;
     Ok(())

@@ -1,7 +1,7 @@
 //! Ranges and tick labels, and the axes that all charts share.
 
 use super::PlotError;
-use super::theme::{Area, GRID, INK, LABEL_PX, TICK_PX, draw_error, font, text_width, units};
+use super::theme::{Area, GRID, INK, LABEL_PX, MIN_CHART_PX, TICK_PX, draw_error, font, inner_px, text_width, units};
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use std::ops::Range;
@@ -17,27 +17,47 @@ pub(super) struct Axes<'a> {
     pub(super) y: Range<f64>,
     /// Whether the x axis counts whole things, so that ticks between them have no label.
     pub(super) whole_x: bool,
+    /// Least room for the labels of the y axis in CSS pixels, to line up several charts; see [`Axes::y_label_px`].
+    pub(super) least_y_label_px: u32,
 }
+
+/// Height of the x axis with its labels and name, in CSS pixels.
+const X_LABEL_PX: u32 = 48;
+/// Fewest and most ticks asked for on the y axis.
+const Y_TICKS: (u32, u32) = (2, 8);
 
 /// Draws grid, axes and labels on `area`.
 pub(super) fn chart<'a>(area: &Area<'a>, axes: &Axes<'_>) -> Result<Chart<'a>, PlotError> {
-    let (width, height) = area.dim_in_pixel();
+    let (ink, grid) = (INK.color(), GRID.color());
+    // A name longer than its axis would be cut: it goes above the chart then.
+    let (width, height) = inner_px(area);
+    if width < MIN_CHART_PX.0 || height < MIN_CHART_PX.1 {
+        return Err(PlotError::TooSmall { width, height, needed: MIN_CHART_PX });
+    }
+    let upright = text_width(axes.y_name, LABEL_PX) + X_LABEL_PX <= height;
+    let below = if upright {
+        area.clone()
+    } else {
+        let (top, below) = area.split_vertically(units(LABEL_PX + 7));
+        top.draw(&Text::new(axes.y_name.to_owned(), (0, 0), font(LABEL_PX, &ink))).map_err(draw_error)?;
+        below
+    };
+    let (width, height) = below.dim_in_pixel();
     let x_ticks = (width / units(95)).clamp(2, 10) as usize;
-    let y_ticks = (height / units(48)).clamp(2, 8) as usize;
+    let y_ticks = (height / units(48)).clamp(Y_TICKS.0, Y_TICKS.1) as usize;
     let (x_scale, y_scale) = (Scale::of(&axes.x), Scale::of(&axes.y));
-    let widest = axes.y_ticks(y_ticks).iter().map(|&tick| text_width(&y_scale.label(tick), TICK_PX)).max().unwrap_or(0);
-    let mut chart = ChartBuilder::on(area)
-        .x_label_area_size(units(48))
-        .y_label_area_size(units(widest + 34))
+    let y_label_px = axes.y_label_px().max(axes.least_y_label_px);
+    let mut chart = ChartBuilder::on(&below)
+        .x_label_area_size(units(X_LABEL_PX))
+        .y_label_area_size(units(y_label_px))
         .margin_right(units(20))
         .margin_top(units(8))
         .build_cartesian_2d(axes.x.clone(), axes.y.clone())
         .map_err(draw_error)?;
-    let (ink, grid) = (INK.color(), GRID.color());
     chart
         .configure_mesh()
         .x_desc(axes.x_name)
-        .y_desc(axes.y_name)
+        .y_desc(if upright { axes.y_name } else { "" })
         .x_labels(x_ticks)
         .y_labels(y_ticks)
         .x_label_formatter(&|&tick| {
@@ -56,9 +76,12 @@ pub(super) fn chart<'a>(area: &Area<'a>, axes: &Axes<'_>) -> Result<Chart<'a>, P
 }
 
 impl Axes<'_> {
-    /// The ticks that the library will choose for the y axis.
-    fn y_ticks(&self, count: usize) -> Vec<f64> {
-        RangedCoordf64::from(self.y.clone()).key_points(count)
+    /// Room for the labels and the name of the y axis in CSS pixels, whatever the chart's height.
+    pub(super) fn y_label_px(&self) -> u32 {
+        let scale = Scale::of(&self.y);
+        let coord = RangedCoordf64::from(self.y.clone());
+        let ticks = (Y_TICKS.0..=Y_TICKS.1).flat_map(|count| coord.key_points(count as usize));
+        ticks.map(|tick| text_width(&scale.label(tick), TICK_PX)).max().unwrap_or(0) + 34
     }
 }
 

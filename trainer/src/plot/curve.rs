@@ -1,7 +1,7 @@
 //! Learning curves: evaluation return over environment steps.
 
 use super::axis::{Axes, chart, padded};
-use super::theme::{Area, Entry, Swatch, data_color, draw_error, figure, legend, units};
+use super::theme::{Area, Entry, Swatch, data_color, draw_error, figure, height_with_legend, legend, units};
 use super::{PlotError, PlotOptions};
 use crate::metrics::jsonl::METRICS_FILE;
 use crate::metrics::{keys, read_jsonl};
@@ -53,7 +53,7 @@ pub fn read_run(run_dir: &Path, label: impl Into<String>) -> Result<RunCurve, Pl
 /// A label with one run gets its curve and a band of one standard deviation over the episodes of each evaluation. A label
 /// with several runs gets the mean over the runs, a band of one standard deviation over the runs, and every run as a
 /// thin line; where runs were evaluated at different steps they are interpolated linearly between them, over the steps
-/// that all of them cover.
+/// that all of them cover. The figure grows with its legend.
 ///
 /// # Errors
 /// [`PlotError::NoData`] without any evaluation, [`PlotError::Draw`] from the plotting library.
@@ -66,21 +66,23 @@ pub fn learning_curve(runs: &[RunCurve], options: &PlotOptions) -> Result<String
     let last = all().map(|point| point.env_steps).fold(0.0, f64::max);
     let axes = Axes {
         x_name: "environment steps",
-        y_name: "evaluation return (sum of rewards)",
+        y_name: "evaluation return (reward)",
         x: 0.0..if last > 0.0 { last } else { 1.0 },
         y: padded(all().flat_map(|point| [point.mean - point.sd, point.mean + point.sd]), 0.05),
         whole_x: true,
+        least_y_label_px: 0,
     };
-    figure(options, options.height, |area| draw(area, &groups, &axes))
-}
-
-fn draw(area: &Area<'_>, groups: &[Group<'_>], axes: &Axes<'_>) -> Result<(), PlotError> {
     let entries: Vec<Entry> = groups
         .iter()
         .enumerate()
         .map(|(i, group)| Entry { name: group.name(), color: data_color(i), swatch: Swatch::Band })
         .collect();
-    let below = legend(area, &entries)?;
+    let height = height_with_legend(&entries, options);
+    figure(options, height, |area| draw(area, &groups, &entries, &axes))
+}
+
+fn draw(area: &Area<'_>, groups: &[Group<'_>], entries: &[Entry], axes: &Axes<'_>) -> Result<(), PlotError> {
+    let below = legend(area, entries)?;
     let mut chart = chart(&below, axes)?;
     // Bands first, so that no line lies under another group's band.
     for (i, group) in groups.iter().enumerate() {

@@ -1,7 +1,7 @@
 //! Observations and actions of one episode over time.
 
 use super::axis::{Axes, chart, padded};
-use super::theme::{Entry, Swatch, data_color, draw_error, figure, legend, units};
+use super::theme::{Area, Entry, Swatch, data_color, draw_error, figure, legend, units};
 use super::{PlotError, PlotOptions};
 use plotters::prelude::*;
 
@@ -34,33 +34,46 @@ pub fn episode(panels: &[Panel], period_s: f64, options: &PlotOptions) -> Result
         return Err(PlotError::NoData("no signal holds a value"));
     }
     let end_s = period_s * (longest.max(2) - 1) as f64;
+    let mut axes: Vec<Axes<'_>> = panels
+        .iter()
+        .map(|panel| Axes {
+            x_name: "time (s)",
+            y_name: &panel.y_name,
+            x: 0.0..end_s,
+            y: padded(panel.series.iter().flat_map(|series| series.values.iter().copied()), 0.05),
+            whole_x: false,
+            least_y_label_px: 0,
+        })
+        .collect();
+    let widest = axes.iter().map(Axes::y_label_px).max().unwrap_or(0);
+    for axes in &mut axes {
+        axes.least_y_label_px = widest;
+    }
     figure(options, options.height * panels.len() as u32, |area| {
-        for (panel, place) in panels.iter().zip(area.split_evenly((panels.len(), 1))) {
-            let entries: Vec<Entry> = panel
-                .series
-                .iter()
-                .enumerate()
-                .map(|(i, series)| Entry { name: series.name.clone(), color: data_color(i), swatch: Swatch::Line })
-                .collect();
-            let below = legend(&place, &entries)?;
-            let axes = Axes {
-                x_name: "time (s)",
-                y_name: &panel.y_name,
-                x: 0.0..end_s,
-                y: padded(panel.series.iter().flat_map(|series| series.values.iter().copied()), 0.05),
-                whole_x: false,
-            };
-            let mut chart = chart(&below, &axes)?;
-            for (i, series) in panel.series.iter().enumerate() {
-                let style = data_color(i).stroke_width(units(3) / 2);
-                for stretch in finite_stretches(&series.values) {
-                    let points = stretch.map(|t| (period_s * t as f64, series.values[t]));
-                    chart.draw_series(LineSeries::new(points, style)).map_err(draw_error)?;
-                }
-            }
+        for ((panel, axes), place) in panels.iter().zip(&axes).zip(area.split_evenly((panels.len(), 1))) {
+            draw(&place.margin(units(6), 0, 0, 0), panel, axes, period_s)?;
         }
         Ok(())
     })
+}
+
+fn draw(area: &Area<'_>, panel: &Panel, axes: &Axes<'_>, period_s: f64) -> Result<(), PlotError> {
+    let entries: Vec<Entry> = panel
+        .series
+        .iter()
+        .enumerate()
+        .map(|(i, series)| Entry { name: series.name.clone(), color: data_color(i), swatch: Swatch::Line })
+        .collect();
+    let below = legend(area, &entries)?;
+    let mut chart = chart(&below, axes)?;
+    for (i, series) in panel.series.iter().enumerate() {
+        let style = data_color(i).stroke_width(units(3) / 2);
+        for stretch in finite_stretches(&series.values) {
+            let points = stretch.map(|t| (period_s * t as f64, series.values[t]));
+            chart.draw_series(LineSeries::new(points, style)).map_err(draw_error)?;
+        }
+    }
+    Ok(())
 }
 
 /// Index ranges of consecutive finite values.

@@ -26,7 +26,7 @@ pub struct PlotOptions {
     pub title: String,
     /// Width in CSS pixels.
     pub width: u32,
-    /// Height in CSS pixels; for [`episode`], of one panel.
+    /// Height in CSS pixels; for [`episode()`], of one panel.
     pub height: u32,
 }
 
@@ -70,7 +70,17 @@ pub enum PlotError {
     /// The metrics could not be read.
     #[error(transparent)]
     Metrics(#[from] MetricsError),
-    /// The plotting library refused, such as for a figure too small for its labels.
+    /// The figure has no room for what it must show.
+    #[error("{width} × {height} px are too small for the figure: make it at least {} × {} px", needed.0, needed.1)]
+    TooSmall {
+        /// Width in CSS pixels.
+        width: u32,
+        /// Height in CSS pixels.
+        height: u32,
+        /// Width and height that are needed, in CSS pixels.
+        needed: (u32, u32),
+    },
+    /// The plotting library refused.
     #[error("cannot draw the figure: {0}")]
     Draw(String),
 }

@@ -86,6 +86,8 @@ const ROW_PX: u32 = 21;
 const SWATCH_PX: u32 = 30;
 /// Margin of a figure in CSS pixels.
 const MARGIN_PX: u32 = 12;
+/// Least width and height of a chart with its axes in CSS pixels.
+pub(super) const MIN_CHART_PX: (u32, u32) = (160, 100);
 
 pub(super) fn draw_error(error: impl std::fmt::Display) -> PlotError {
     PlotError::Draw(error.to_string())
@@ -98,6 +100,8 @@ pub(super) enum Swatch {
     Line,
     /// A line in a band.
     Band,
+    /// A filled block.
+    Block,
     /// A thin dashed line.
     Dashed,
 }
@@ -115,6 +119,10 @@ pub(super) fn figure(
     height: u32,
     draw: impl FnOnce(&Area<'_>) -> Result<(), PlotError>,
 ) -> Result<String, PlotError> {
+    let needed = (MIN_CHART_PX.0 + 2 * MARGIN_PX, MIN_CHART_PX.1 + 2 * MARGIN_PX + TITLE_PX + 11);
+    if options.width < needed.0 || height < needed.1 {
+        return Err(PlotError::TooSmall { width: options.width, height, needed });
+    }
     let mut body = String::new();
     let size = (units(options.width), units(height));
     {
@@ -136,14 +144,34 @@ pub(super) fn figure(
     Ok(with_head(&body, options, height))
 }
 
-/// Draws a legend on top of `area` and gives back what is left below it. `width` is the area's in CSS pixels.
-pub(super) fn legend<'a>(area: &Area<'a>, entries: &[Entry]) -> Result<Area<'a>, PlotError> {
-    let width = area.dim_in_pixel().0 / UNITS;
+/// Size of `area` in CSS pixels.
+pub(super) fn inner_px(area: &Area<'_>) -> (u32, u32) {
+    let (width, height) = area.dim_in_pixel();
+    (width / UNITS, height / UNITS)
+}
+
+/// Columns of a legend of `width`, their width, and the height of the whole, in CSS pixels.
+fn legend_layout(entries: &[Entry], width: u32) -> (usize, u32, u32) {
     let widest = entries.iter().map(|entry| text_width(&entry.name, LABEL_PX)).max().unwrap_or(0);
     let column = (SWATCH_PX + widest + 18).min(width).max(1);
     let columns = (width / column).max(1) as usize;
-    let rows = entries.len().div_ceil(columns) as u32;
-    let (top, below) = area.split_vertically(units(rows * ROW_PX + 4));
+    (columns, column, entries.len().div_ceil(columns) as u32 * ROW_PX + 4)
+}
+
+/// Height that a figure as wide as `options` should have for a legend and a readable chart, in CSS pixels.
+pub(super) fn height_with_legend(entries: &[Entry], options: &PlotOptions) -> u32 {
+    let (_, _, legend) = legend_layout(entries, options.width.saturating_sub(2 * MARGIN_PX));
+    options.height.max(legend + 300)
+}
+
+/// Draws a legend on top of `area` and gives back what is left below it.
+pub(super) fn legend<'a>(area: &Area<'a>, entries: &[Entry]) -> Result<Area<'a>, PlotError> {
+    let (width, height) = inner_px(area);
+    let (columns, column, needed) = legend_layout(entries, width);
+    if needed + MIN_CHART_PX.1 > height {
+        return Err(PlotError::TooSmall { width, height, needed: (MIN_CHART_PX.0, needed + MIN_CHART_PX.1) });
+    }
+    let (top, below) = area.split_vertically(units(needed));
     for (i, entry) in entries.iter().enumerate() {
         let left = units((i % columns) as u32 * column) as i32;
         let middle = units((i / columns) as u32 * ROW_PX + ROW_PX / 2) as i32;
@@ -151,11 +179,12 @@ pub(super) fn legend<'a>(area: &Area<'a>, entries: &[Entry]) -> Result<Area<'a>,
         let half = units(6) as i32;
         let line = match entry.swatch {
             Swatch::Dashed => entry.color.stroke_width(units(1)),
-            Swatch::Line | Swatch::Band => entry.color.stroke_width(units(2)),
+            Swatch::Line | Swatch::Band | Swatch::Block => entry.color.stroke_width(units(2)),
         };
-        if matches!(entry.swatch, Swatch::Band) {
+        let opacity = if matches!(entry.swatch, Swatch::Block) { 1.0 } else { 0.2 };
+        if matches!(entry.swatch, Swatch::Band | Swatch::Block) {
             let corners = [(left, middle - half), (right, middle + half)];
-            top.draw(&Rectangle::new(corners, entry.color.mix(0.2).filled())).map_err(draw_error)?;
+            top.draw(&Rectangle::new(corners, entry.color.mix(opacity).filled())).map_err(draw_error)?;
         }
         match entry.swatch {
             Swatch::Dashed => {
@@ -163,7 +192,7 @@ pub(super) fn legend<'a>(area: &Area<'a>, entries: &[Entry]) -> Result<Area<'a>,
                 let points = [(left, middle), (right, middle)];
                 top.draw(&plotters::element::DashedPathElement::new(points, dash, gap, line)).map_err(draw_error)?;
             }
-            Swatch::Line | Swatch::Band => {
+            Swatch::Line | Swatch::Band | Swatch::Block => {
                 top.draw(&PathElement::new(vec![(left, middle), (right, middle)], line)).map_err(draw_error)?;
             }
         }
@@ -229,7 +258,7 @@ mod tests {
     #[test]
     fn the_style_sheet_covers_every_colour_that_is_drawn() {
         let svg = figure(&PlotOptions::new("a < b & \"c\""), 300, |area| {
-            let entries = [Swatch::Line, Swatch::Band, Swatch::Dashed].map(|swatch| Entry {
+            let entries = [Swatch::Line, Swatch::Band, Swatch::Block, Swatch::Dashed].map(|swatch| Entry {
                 name: "x".into(),
                 color: data_color(swatch as usize),
                 swatch,
@@ -246,6 +275,18 @@ mod tests {
             found += 1;
         }
         assert!(found > 5);
+    }
+
+    #[test]
+    fn a_figure_without_room_is_refused() {
+        let entries = || (0..30).map(|i| Entry { name: format!("run {i}"), color: data_color(i), swatch: Swatch::Line });
+        let draw = |area: &Area<'_>| legend(area, &entries().collect::<Vec<_>>()).map(drop);
+        let narrow = PlotOptions::new("t").with_size(200, 300);
+        assert!(matches!(figure(&narrow, 300, draw), Err(PlotError::TooSmall { .. })));
+        let height = height_with_legend(&entries().collect::<Vec<_>>(), &narrow);
+        figure(&narrow, height, draw).unwrap();
+        let tiny = PlotOptions::new("t").with_size(10, 10);
+        assert!(matches!(figure(&tiny, 10, draw), Err(PlotError::TooSmall { .. })));
     }
 
     #[test]

@@ -25,11 +25,12 @@ pub fn latent_usage(counts: &[u64], options: &PlotOptions) -> Result<String, Plo
         x: -0.6..counts.len() as f64 - 0.4,
         y: 0.0..highest * 1.05,
         whole_x: true,
+        least_y_label_px: 0,
     };
     figure(options, options.height, |area| {
         let bars = format!("{used} of {} latents in use", counts.len());
         let entries = [
-            Entry { name: bars, color: data_color(0), swatch: Swatch::Line },
+            Entry { name: bars, color: data_color(0), swatch: Swatch::Block },
             Entry { name: "uniform use".to_owned(), color: MUTED.color(), swatch: Swatch::Dashed },
         ];
         let below = legend(area, &entries)?;

@@ -132,16 +132,16 @@ impl Progress {
             return;
         }
         self.last_shown_s = Some(now_s);
-        let fields = self.fields(snapshot, now_s, start);
+        let Fields { speed, quality, eta } = self.fields(snapshot, now_s, start);
         match &mut self.output {
             Output::Terminal(bar) => {
                 bar.set_position(snapshot.env_steps);
-                bar.set_message(fields);
+                bar.set_message(format!("{speed} | {eta}\n  {quality}"));
             }
             Output::Lines(writer) => {
                 let done = summary(snapshot.env_steps, self.total_steps);
                 // A closed standard error is no reason to stop a run.
-                let _ = writeln!(writer, "{}: {done} | {fields}", self.label);
+                let _ = writeln!(writer, "{}: {done} | {speed} | {quality} | {eta}", self.label);
             }
             Output::Quiet => {}
         }
@@ -170,25 +170,35 @@ impl Progress {
         }
     }
 
-    fn fields(&self, snapshot: &Snapshot, now_s: f64, start: (f64, u64)) -> String {
+    fn fields(&self, snapshot: &Snapshot, now_s: f64, start: (f64, u64)) -> Fields {
         let (steps_per_s, updates_per_s) = self.rates.per_s();
         let optional = |value: Option<String>| value.unwrap_or_else(|| "–".to_owned());
         let remaining = self.total_steps.saturating_sub(snapshot.env_steps) as f64;
         // From the whole run so far: phases without environment steps would make a recent rate useless.
-        let mean_rate = (snapshot.env_steps - start.1.min(snapshot.env_steps)) as f64 / (now_s - start.0);
+        let mean_rate = snapshot.env_steps.saturating_sub(start.1) as f64 / (now_s - start.0);
         let eta = (mean_rate > 0.0 && mean_rate.is_finite()).then(|| duration(remaining / mean_rate));
-        let mut fields = Vec::with_capacity(7);
-        if !snapshot.phase.is_empty() {
-            fields.push(snapshot.phase.to_owned());
+        let steps = format!("{} env steps/s", optional(steps_per_s.map(count)));
+        let updates = format!("{} updates/s", optional(updates_per_s.map(count)));
+        let phase = (!snapshot.phase.is_empty()).then(|| snapshot.phase.to_owned());
+        let latents = optional(snapshot.latents.map(|(used, all)| format!("{used}/{all}")));
+        Fields {
+            speed: phase.into_iter().chain([steps, updates]).collect::<Vec<_>>().join(" | "),
+            quality: [
+                format!("return {}", optional(snapshot.episode_return.map(number))),
+                format!("loss {}", optional(snapshot.loss.map(number))),
+                format!("latents {latents}"),
+            ]
+            .join(" | "),
+            eta: format!("ETA {}", optional(eta)),
         }
-        fields.push(format!("{} env steps/s", optional(steps_per_s.map(count))));
-        fields.push(format!("{} updates/s", optional(updates_per_s.map(count))));
-        fields.push(format!("return {}", optional(snapshot.episode_return.map(number))));
-        fields.push(format!("loss {}", optional(snapshot.loss.map(number))));
-        fields.push(format!("latents {}", optional(snapshot.latents.map(|(used, all)| format!("{used}/{all}")))));
-        fields.push(format!("ETA {}", optional(eta)));
-        fields.join(" | ")
     }
+}
+
+/// What both displays show, in parts that fit a line of 80 columns.
+struct Fields {
+    speed: String,
+    quality: String,
+    eta: String,
 }
 
 impl Drop for Progress {
@@ -203,9 +213,9 @@ impl Drop for Progress {
 fn bar(total_steps: u64, label: &str, color: bool) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(Some(total_steps), ProgressDrawTarget::stderr());
     let template = if color {
-        "{prefix:.bold} {bar:30.cyan/dim} {percent:>3} % of {human_len} steps, {elapsed}\n  {wide_msg}"
+        "{prefix:.bold} {bar:24.cyan/dim} {percent:>3} % of {human_len} steps\n  {elapsed} | {msg}"
     } else {
-        "{prefix} {bar:30} {percent:>3} % of {human_len} steps, {elapsed}\n  {wide_msg}"
+        "{prefix} {bar:24} {percent:>3} % of {human_len} steps\n  {elapsed} | {msg}"
     };
     bar.set_style(plain_style(template).progress_chars("━╸─"));
     bar.set_prefix(label.to_owned());
@@ -384,7 +394,7 @@ mod tests {
         *time.lock().unwrap() = 1.0;
         progress.update(&Snapshot { env_steps: 250, updates: 100, ..Snapshot::default() });
         let Output::Terminal(bar) = &progress.output else { panic!("no terminal display") };
-        let message = "250 env steps/s | 100 updates/s | return – | loss – | latents – | ETA 3 s";
+        let message = "250 env steps/s | 100 updates/s | ETA 3 s\n  return – | loss – | latents –";
         assert_eq!((bar.position(), bar.message().as_str()), (250, message));
         assert_eq!(progress.suspend(|| 5), 5);
         progress.finish("done");
