@@ -4,6 +4,7 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+#[cfg(feature = "mujoco")]
 use rand_distr::StandardNormal;
 
 /// The source of one episode's randomness.
@@ -20,6 +21,7 @@ impl EpisodeRng {
     }
 
     /// Standard normal.
+    #[cfg(feature = "mujoco")]
     pub(crate) fn normal(&mut self) -> f64 {
         self.0.sample(StandardNormal)
     }
@@ -48,7 +50,15 @@ mod tests {
             c.index(4);
         }
         assert!(differs);
-        let mean = (0..10_000).map(|_| a.normal()).sum::<f64>() / 10_000.0;
-        assert!(mean.abs() < 0.05, "mean of 10,000 standard normal draws: {mean}");
+    }
+
+    #[cfg(feature = "mujoco")]
+    #[test]
+    fn normal_draws_have_mean_zero_and_variance_one() {
+        let mut rng = EpisodeRng::from_seed(1);
+        let draws: Vec<f64> = (0..10_000).map(|_| rng.normal()).collect();
+        let mean = draws.iter().sum::<f64>() / 1e4;
+        let variance = draws.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / 1e4;
+        assert!(mean.abs() < 0.05 && (variance - 1.0).abs() < 0.05, "{mean} {variance}");
     }
 }

@@ -1,7 +1,9 @@
 //! Every recorded trajectory of a reference program, replayed through our environment of that name.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 use std::{
     fs,
+    io::Write,
     path::{Path, PathBuf},
 };
 
@@ -68,4 +70,97 @@ fn all_recordings_replay_within_their_tolerances() {
     seen.sort();
     expected.sort();
     assert_eq!(seen, expected, "one recording for each environment");
+}
+
+/// Every file also replays from each of its states: the way for another processor.
+#[test]
+fn recordings_replay_from_each_state() {
+    for path in recordings() {
+        match check_by(&path, Replay::FromEachState) {
+            Ok(report) => assert!(report.passed(), "{report:#?}"),
+            Err(GoldenError::Env { .. }) if !cfg!(feature = "mujoco") => {}
+            Err(error) => panic!("{error}"),
+        }
+    }
+}
+
+/// Writes a changed copy of the recording of ToyEnv or Moving and replays it.
+fn changed(name: &str, change: impl FnOnce(&mut serde_json::Value)) -> Result<GoldenReport, GoldenError> {
+    let file = fs::File::open(folder().join(name)).unwrap();
+    let mut document: serde_json::Value = serde_json::from_reader(flate2::read::GzDecoder::new(file)).unwrap();
+    change(&mut document);
+    replay_text(&serde_json::to_vec(&document).unwrap())
+}
+
+fn replay_text(text: &[u8]) -> Result<GoldenReport, GoldenError> {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let mut packed = flate2::write::GzEncoder::new(file.reopen().unwrap(), flate2::Compression::fast());
+    packed.write_all(text).unwrap();
+    packed.finish().unwrap();
+    check(file.path())
+}
+
+#[test]
+fn a_difference_is_found_and_placed() {
+    let report = changed("moving.json.gz", |d| {
+        let cell = &mut d["trajectories"][2]["obs"][4][7];
+        *cell = (cell.as_f64().unwrap() + 1e-9).into();
+        d["trajectories"][3]["terminated"][5] = true.into();
+    })
+    .unwrap();
+    assert!(!report.passed());
+    let obs = report.comparison("observation").unwrap();
+    let at = obs.at.as_ref().unwrap();
+    assert_eq!((obs.unequal, at.trajectory.as_str(), at.step), (1, "go_to_target", 5));
+    assert!((obs.largest - 1e-9).abs() < 1e-15);
+    let flag = report.first_flag.unwrap();
+    assert_eq!((flag.at.step, flag.flag, flag.recorded), (6, "terminated", true));
+    let others = report.comparisons.iter().filter(|c| c.quantity != "observation");
+    assert_eq!(others.map(|c| c.unequal).sum::<u64>(), 0);
+}
+
+#[test]
+fn a_wrong_file_says_what_is_wrong() {
+    type Change = fn(&mut serde_json::Value);
+    let cases: [(&str, Change, &str); 16] = [
+        ("toy_env.json.gz", |d| d["format"] = 2.into(), "format 2, expected 1"),
+        ("toy_env.json.gz", |d| d["env"] = "GoBigger 0.2.x st_t2p2".into(), "out of this crate's scope"),
+        ("toy_env.json.gz", |d| d["env"] = "HyAR hard move n=4".into(), "out of this crate's scope"),
+        ("toy_env.json.gz", |d| d["env"] = "LunarLanderContinuous-v3".into(), "it needs Box2D"),
+        ("toy_env.json.gz", |d| d["env"] = "Swimmer-v5".into(), "no environment `swimmer-v5`; known: toy-env"),
+        ("toy_env.json.gz", |d| d["env"] = "HardMove-v0 n=77".into(), "no environment `hard-move-77`"),
+        ("toy_env.json.gz", |d| d["env"] = "Moving-v0".into(), "init state `x`: missing"),
+        ("toy_env.json.gz", |d| d["trajectories"] = serde_json::json!([]), "expected at least one"),
+        ("toy_env.json.gz", |d| d["trajectories"][0]["obs"] = serde_json::json!([]), "obs: expected 7 entries"),
+        ("toy_env.json.gz", |d| d["trajectories"][0]["rewards"][0] = "x".into(), "not a recording"),
+        ("toy_env.json.gz", |d| d["trajectories"][0]["actions"][2] = serde_json::json!([1.0]), "step 3 action"),
+        ("toy_env.json.gz", |d| d["trajectories"][0]["init"]["state"]["s"] = ().into(), "is null"),
+        ("toy_env.json.gz", |d| d["trajectories"][1]["states"]["s"][0] = 1e300.into(), "step 1 state `s`"),
+        ("moving.json.gz", |d| d["trajectories"][0]["actions"][1] = serde_json::json!([3, []]), "type below 3"),
+        ("moving.json.gz", |d| d["trajectories"][0]["actions"][1] = serde_json::json!([0, [1, 2, 3]]), "parameters"),
+        ("hard_move_n4.json.gz", |d| d["trajectories"][1]["actions"][0][0] = 16.into(), "index below 2^4"),
+    ];
+    for (i, (name, change, expected)) in cases.into_iter().enumerate() {
+        let error = changed(name, change).unwrap_err().to_string();
+        assert!(error.contains(expected), "case {i}: {error}");
+    }
+    let error = changed("toy_env.json.gz", |d| d["meta"]["kwargs"] = serde_json::json!({"gravity": 3})).unwrap_err();
+    assert!(error.to_string().contains("options that are not offered here: gravity"), "{error}");
+}
+
+#[test]
+fn bytes_that_are_no_recording_are_refused() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    assert!(matches!(check(file.path()), Err(GoldenError::Read { .. })), "empty");
+    fs::write(file.path(), b"{\"format\": 1}").unwrap();
+    assert!(matches!(check(file.path()), Err(GoldenError::Read { .. })), "not packed");
+    let whole = fs::read(folder().join("toy_env.json.gz")).unwrap();
+    for cut in [1, 10, whole.len() / 2, whole.len() - 1] {
+        fs::write(file.path(), &whole[..cut]).unwrap();
+        assert!(check(file.path()).is_err(), "cut at {cut}");
+    }
+    assert!(matches!(check(Path::new("no-such-file.json.gz")), Err(GoldenError::Read { .. })));
+    assert!(matches!(replay_text(b"[1, 2"), Err(GoldenError::Json { .. })));
+    assert!(matches!(replay_text(&vec![b' '; (256 << 20) + 1]), Err(GoldenError::TooLarge { .. })));
+    assert!(replay_text("[".repeat(100_000).as_bytes()).is_err(), "deep nesting");
 }
