@@ -104,7 +104,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), AtomicWriteError> {
 /// Replaces the file at `path` by what `fill` writes; for content too large to hold in memory twice.
 ///
 /// # Errors
-/// As [`write`]; an error that `fill` returns is reported as [`Step::Write`].
+/// As [`write()`]; an error that `fill` returns is reported as [`Step::Write`].
 pub fn write_with<F>(path: &Path, fill: F) -> Result<(), AtomicWriteError>
 where
     F: FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,

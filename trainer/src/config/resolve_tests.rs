@@ -246,6 +246,7 @@ fn defaults_that_do_not_read_back_are_not_blamed_on_a_setting() {
     }
     let error = resolve::<Broken>(&[set("seed=1")]).unwrap_err();
     assert!(matches!(error, ConfigError::Defaults(_)), "{error}");
+    assert_eq!(Broken::default().hidden, 0);
 }
 
 #[test]

@@ -279,7 +279,8 @@ mod tests {
 
     #[test]
     fn a_figure_without_room_is_refused() {
-        let entries = || (0..30).map(|i| Entry { name: format!("run {i}"), color: data_color(i), swatch: Swatch::Line });
+        let entries =
+            || (0..30).map(|i| Entry { name: format!("run {i}"), color: data_color(i), swatch: Swatch::Line });
         let draw = |area: &Area<'_>| legend(area, &entries().collect::<Vec<_>>()).map(drop);
         let narrow = PlotOptions::new("t").with_size(200, 300);
         assert!(matches!(figure(&narrow, 300, draw), Err(PlotError::TooSmall { .. })));

@@ -49,7 +49,7 @@ fn write_section(out: &mut String, section: &Section) -> Result {
             }
         }
         Content::Facts(facts) => {
-            writeln!(out, "<div class=\"scroll\"><table class=\"facts\"><tbody>")?;
+            writeln!(out, "<div class=\"scroll\" tabindex=\"0\"><table class=\"facts\"><tbody>")?;
             for (name, value) in facts {
                 writeln!(out, "<tr><th scope=\"row\">{}</th><td>{}</td></tr>", escape(name), escape_lines(value))?;
             }
@@ -57,7 +57,7 @@ fn write_section(out: &mut String, section: &Section) -> Result {
         }
         Content::Table { columns, rows } => write_table(out, columns, rows)?,
         Content::Figure { svg, caption } => {
-            writeln!(out, "<figure>\n<div class=\"scroll\">{svg}</div>")?;
+            writeln!(out, "<figure>\n<div class=\"scroll\" tabindex=\"0\">{svg}</div>")?;
             if !caption.is_empty() {
                 writeln!(out, "<figcaption>{}</figcaption>", escape_lines(caption))?;
             }
@@ -80,7 +80,7 @@ fn write_section(out: &mut String, section: &Section) -> Result {
 
 fn write_table(out: &mut String, columns: &[Column], rows: &[Vec<String>]) -> Result {
     let class = |column: &Column| if column.numeric { " class=\"number\"" } else { "" };
-    writeln!(out, "<div class=\"scroll\"><table>\n<thead><tr>")?;
+    writeln!(out, "<div class=\"scroll\" tabindex=\"0\"><table>\n<thead><tr>")?;
     for column in columns {
         writeln!(out, "<th scope=\"col\"{}>{}</th>", class(column), escape(&column.name))?;
     }

@@ -1,6 +1,6 @@
 //! The report of a run for people: one HTML file that needs nothing but itself.
 //!
-//! [`Report`] collects what is to be said, verdict first; [`html`] writes it down. Every text is escaped. The page has no
+//! [`Report`] collects what is to be said, verdict first, and [`Report::to_html`] writes it down. Every text is escaped. The page has no
 //! script and loads nothing: its figures are inline SVG and its content security policy forbids everything else.
 
 mod html;
