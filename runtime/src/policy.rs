@@ -81,6 +81,16 @@ impl<'a> Policy<'a> {
         Ok(Self { image, nets, spec })
     }
 
+    #[cfg(feature = "encode")]
+    pub(crate) fn nets(&self) -> &Nets<'a> {
+        &self.nets
+    }
+
+    #[cfg(feature = "encode")]
+    pub(crate) fn image(&self) -> &Image<'a> {
+        &self.image
+    }
+
     /// Dimensions and needs.
     #[must_use]
     pub fn spec(&self) -> &PolicySpec {

@@ -1,6 +1,6 @@
 //! Why a model cannot be written.
 
-use crate::error::LoadError;
+use crate::error::{LoadError, SelfTestError};
 use std::fmt;
 use std::string::String;
 
@@ -26,6 +26,8 @@ pub enum EncodeError {
     },
     /// The file that was written is refused by the runtime: a defect of the writer.
     Refused(LoadError),
+    /// The file that was written fails its own vectors: a defect of the writer.
+    SelfTest(SelfTestError),
 }
 
 impl fmt::Display for EncodeError {
@@ -34,6 +36,7 @@ impl fmt::Display for EncodeError {
             Self::Shape { what, expected, found } => write!(f, "{what}: expected length {expected}, found {found}"),
             Self::Value { what, found } => write!(f, "{what}: found {found}"),
             Self::Refused(error) => write!(f, "the written file is refused by its own reader: {error}"),
+            Self::SelfTest(error) => write!(f, "the written file fails its own vectors: {error}"),
         }
     }
 }

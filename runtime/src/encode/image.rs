@@ -4,7 +4,6 @@ use std::vec;
 use std::vec::Vec;
 
 /// Owns the bytes of a policy file at a 16-byte aligned address, which a `Vec<u8>` or `include_bytes!` does not promise.
-
 pub struct AlignedImage {
     bytes: Vec<u8>,
     start: usize,

@@ -169,14 +169,46 @@ pub struct FloatDecision {
     pub q: f32,
 }
 
+impl HeadEncoding {
+    /// Rows of the head layer that a slot of this kind takes.
+    #[must_use]
+    pub fn rows(self, head: ActionHead) -> usize {
+        match (self, head) {
+            (Self::Categorical { atoms, .. }, _) => atoms,
+            (Self::Types, ActionHead::Discrete { n }) => usize::from(n),
+            _ => 1,
+        }
+    }
+}
+
 impl FloatModel {
-    /// One step in plain `f32`, the reference for the quantised policy; writes one value per action slot, in the units
-    /// of the interface.
-    ///
-    /// # Panics
-    /// When the model's own shapes do not fit together; [`quantise`](super::quantise) checks them.
-    pub fn act(&self, obs: &[f32], action: &mut [f32]) -> FloatDecision {
-        let _ = (obs, action);
-        FloatDecision { latent: 0, allowed: LatentMask::full(1), fallback: false, q: 0.0 }
+    /// Number of latents K: rows of the Q-network's last layer.
+    #[must_use]
+    pub fn num_latents(&self) -> usize {
+        self.q.last().map_or(0, |layer| layer.rows)
+    }
+}
+
+impl Interface {
+    /// Replaces infinite observation bounds by the range of `calibration` (`N x observations`, row-major), widened by
+    /// `margin` of its width on both sides and at least by 1e-3.
+    #[must_use]
+    pub fn with_finite_bounds(&self, calibration: &[f32], margin: f32) -> Self {
+        let mut interface = self.clone();
+        let dim = self.observations.len().max(1);
+        for (index, slot) in interface.observations.iter_mut().enumerate() {
+            let column = calibration.iter().skip(index).step_by(dim);
+            let lo = column.clone().copied().fold(f32::INFINITY, f32::min);
+            let hi = column.copied().fold(f32::NEG_INFINITY, f32::max);
+            let (lo, hi) = if lo <= hi { (lo, hi) } else { (-1.0, 1.0) };
+            let pad = ((hi - lo) * margin).max(1e-3);
+            if slot.lo == f32::NEG_INFINITY {
+                slot.lo = (lo - pad).min(slot.hi - pad);
+            }
+            if slot.hi == f32::INFINITY {
+                slot.hi = (hi + pad).max(slot.lo + pad);
+            }
+        }
+        interface
     }
 }

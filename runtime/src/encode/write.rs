@@ -1,8 +1,26 @@
 //! The file writer.
 
+use super::check::{check, equal};
 use super::error::EncodeError;
-use super::model::FloatModel;
-use super::quantise::QuantisedModel;
+use super::image::AlignedImage;
+use super::int_model::{IntDecoder, IntNet, QuantisedModel};
+use super::model::{Dense, FloatDecoder, FloatModel, HeadEncoding, Interface, ProvenanceOwned, Snap};
+use super::threshold::threshold;
+use crate::interface::{HEAD_BINARY, HEAD_CONTINUOUS, HEAD_DISCRETE, InterfaceView, interface_hash};
+use crate::load::CRC32;
+use crate::net::{
+    DECODER_MODULATED, DECODER_TABLE, ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, ENCODING_TYPES, NET_HEAD,
+    SNAP_ANY, SNAP_EDGES, SNAP_NONE,
+};
+use crate::schema::{
+    FORMAT_VERSION, HEADER_LEN, MAGIC, MAX_SELF_TESTS, NUMERICS_VERSION, RUNTIME_ABI, SECTION_ALIGN, TABLE_LEN,
+    WeightKind,
+};
+use crate::scratch::{scratch_words, scratch_words_float};
+use crate::space::ActionHead;
+use crate::{Policy, Scratch};
+use std::string::String;
+use std::vec;
 use std::vec::Vec;
 
 /// One optional record of the trailer.
@@ -23,19 +41,459 @@ pub struct FileOptions {
     pub trailer: Vec<TrailerRecord>,
 }
 
-/// Writes an int8 file with one self-test vector per row of `self_test` (`n x obs_dim`, row-major) and reads it back.
+/// Latent and action of a self-test vector.
+type Answer = (u16, Vec<f32>);
+
+/// Writes an int8 file with one self-test vector per row of `self_test` (`n x obs_dim`, row-major), computes the vectors
+/// with the runtime itself, and reads the file back.
 ///
 /// # Errors
-/// A model that the format cannot hold.
+/// A model that the format cannot hold; no observation or more than 64 for the vectors, or one that is not finite.
 pub fn write_int8(model: &QuantisedModel, self_test: &[f32], options: &FileOptions) -> Result<Vec<u8>, EncodeError> {
-    write_float(&model.model, self_test, options)
+    let (obs_dim, slots) = (model.interface.observations.len(), model.interface.actions.len());
+    let cases = check_cases(self_test, obs_dim)?;
+    let draft = int8_image(model, &blank(&cases, slots), options)?;
+    let image = AlignedImage::new(&draft);
+    let policy = Policy::load(&image)?;
+    let mut memory = vec![0; policy.spec().scratch_words];
+    let mut answers = vec![];
+    for case in &cases {
+        let mut action = vec![0.0; slots];
+        let decision =
+            policy.act(case, &mut Scratch::new(&mut memory), &mut action).map_err(|error| EncodeError::Value {
+                what: std::format!("self-test observation: {error}; row"),
+                found: answers.len() as f64,
+            })?;
+        answers.push((decision.latent, action));
+    }
+    let vectors: Vec<(&[f32], Answer)> = cases.iter().copied().zip(answers).collect();
+    let bytes = int8_image(model, &vectors, options)?;
+    let image = AlignedImage::new(&bytes);
+    Policy::load(&image)?.self_test(&mut Scratch::new(&mut memory)).map_err(EncodeError::SelfTest)?;
+    Ok(bytes)
 }
 
-/// Writes an `f32` file with one self-test vector per row of `self_test` (`n x obs_dim`, row-major) and reads it back.
+/// Writes an `f32` file with one self-test vector per row of `self_test` (`n x obs_dim`, row-major), computed by
+/// [`FloatModel::act`]. Infinite observation bounds must have been replaced, see [`Interface::with_finite_bounds`].
 ///
 /// # Errors
-/// A model that the format cannot hold.
+/// A model that the format cannot hold; no observation or more than 64 for the vectors, or one that is not finite.
 pub fn write_float(model: &FloatModel, self_test: &[f32], options: &FileOptions) -> Result<Vec<u8>, EncodeError> {
-    let _ = options;
-    Err(EncodeError::Shape { what: "self_test".into(), expected: model.obs_mean.len(), found: self_test.len() })
+    check(model)?;
+    let (obs_dim, slots) = (model.interface.observations.len(), model.interface.actions.len());
+    let cases = check_cases(self_test, obs_dim)?;
+    let mut vectors = vec![];
+    for case in cases {
+        let mut action = vec![0.0; slots];
+        let decision = model.act(case, &mut action);
+        vectors.push((case, (decision.latent, action)));
+    }
+    let bytes = float_image(model, &vectors, options)?;
+    let image = AlignedImage::new(&bytes);
+    let loaded = crate::load::Image::load(&image, WeightKind::Float32)?;
+    crate::load_net::Nets::load(&loaded)?;
+    Ok(bytes)
+}
+
+fn check_cases(self_test: &[f32], obs_dim: usize) -> Result<Vec<&[f32]>, EncodeError> {
+    let count = (self_test.len() / obs_dim.max(1)).clamp(1, MAX_SELF_TESTS);
+    equal("self_test, 1 to 64 rows of the observation's length; values", count * obs_dim, self_test.len())?;
+    if let Some(found) = self_test.iter().find(|x| !x.is_finite()) {
+        return Err(EncodeError::Value { what: "self_test must be finite".into(), found: f64::from(*found) });
+    }
+    Ok(self_test.chunks_exact(obs_dim).collect())
+}
+
+fn blank<'a>(cases: &[&'a [f32]], slots: usize) -> Vec<(&'a [f32], Answer)> {
+    cases.iter().map(|case| (*case, (0, vec![0.0; slots]))).collect()
+}
+
+/// Appends little-endian values.
+#[derive(Default)]
+struct Buffer(Vec<u8>);
+
+impl Buffer {
+    fn u16(&mut self, value: usize) {
+        self.0.extend(u16::try_from(value).expect("limits of the format fit 16 bits").to_le_bytes());
+    }
+
+    fn u32(&mut self, value: usize) {
+        self.0.extend(u32::try_from(value).expect("files are smaller than 4 GiB").to_le_bytes());
+    }
+
+    fn f32(&mut self, value: f32) {
+        self.0.extend(value.to_le_bytes());
+    }
+
+    fn f32s(&mut self, values: &[f32]) {
+        self.0.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+    }
+
+    fn zeros(&mut self, count: usize) {
+        self.0.resize(self.0.len() + count, 0);
+    }
+
+    fn align(&mut self) {
+        self.0.resize(self.0.len().next_multiple_of(SECTION_ALIGN), 0);
+    }
+
+    fn put_u32(&mut self, at: usize, value: usize) {
+        let value = u32::try_from(value).expect("files are smaller than 4 GiB");
+        self.0[at..at + 4].copy_from_slice(&value.to_le_bytes());
+    }
+}
+
+/// One layer ready to be placed.
+struct PackedLayer {
+    rows: usize,
+    cols: usize,
+    bits: usize,
+    stream: Vec<u8>,
+}
+
+/// A network ready to be placed.
+struct PackedNet {
+    layers: Vec<PackedLayer>,
+    frac_bits: usize,
+    scale: f32,
+    /// Per-latent table of a decoder.
+    table: Vec<u8>,
+}
+
+fn pack_int(net: &IntNet, modulated: bool) -> PackedNet {
+    let mut table = vec![];
+    let layers = net
+        .layers
+        .iter()
+        .enumerate()
+        .map(|(index, layer)| {
+            let first = modulated && index == 0;
+            let (stream, packed) = layer.pack(first);
+            if first {
+                table = packed;
+            }
+            PackedLayer { rows: layer.rows, cols: layer.cols, bits: usize::from(layer.bits), stream }
+        })
+        .collect();
+    PackedNet { layers, frac_bits: usize::from(net.frac_bits), scale: net.scale, table }
+}
+
+fn pack_float<'a>(layers: impl Iterator<Item = &'a Dense>) -> PackedNet {
+    let layers = layers
+        .map(|layer| PackedLayer {
+            rows: layer.rows,
+            cols: layer.cols,
+            bits: 32,
+            stream: layer.weight.iter().chain(&layer.bias).flat_map(|value| value.to_le_bytes()).collect(),
+        })
+        .collect();
+    PackedNet { layers, frac_bits: 0, scale: 1.0, table: vec![] }
+}
+
+/// What a file is made of, in either weight kind.
+struct Parts<'a> {
+    kind: WeightKind,
+    interface: &'a Interface,
+    input: Vec<(f32, f32)>,
+    input_bits: u16,
+    q: PackedNet,
+    confidence: Option<(PackedNet, (u32, u32))>,
+    decoder: Option<PackedNet>,
+    /// Constants of a table decoder.
+    constants: &'a [Vec<f32>],
+    heads: &'a [HeadEncoding],
+    provenance: &'a ProvenanceOwned,
+}
+
+fn int8_image(
+    model: &QuantisedModel,
+    vectors: &[(&[f32], Answer)],
+    options: &FileOptions,
+) -> Result<Vec<u8>, EncodeError> {
+    let (decoder, constants): (_, &[Vec<f32>]) = match &model.decoder {
+        IntDecoder::Modulated(net) => (Some(pack_int(net, true)), &[]),
+        IntDecoder::Table(actions) => (None, actions),
+    };
+    let parts = Parts {
+        kind: WeightKind::Int8,
+        interface: &model.interface,
+        input: model.input.clone(),
+        input_bits: model.input_bits,
+        q: pack_int(&model.q, false),
+        confidence: model.confidence.as_ref().map(|(net, threshold)| (pack_int(net, false), *threshold)),
+        decoder,
+        constants,
+        heads: &model.heads,
+        provenance: &model.provenance,
+    };
+    file(&parts, vectors, options)
+}
+
+fn float_image(
+    model: &FloatModel,
+    vectors: &[(&[f32], Answer)],
+    options: &FileOptions,
+) -> Result<Vec<u8>, EncodeError> {
+    let (decoder, constants): (_, &[Vec<f32>]) = match &model.decoder {
+        FloatDecoder::Modulated { state, scale, shift, hidden, head } => {
+            let mut net = pack_float(core::iter::once(state).chain(hidden).chain(core::iter::once(head)));
+            for (scale, shift) in scale.iter().zip(shift) {
+                net.table.extend(scale.iter().chain(shift).flat_map(|value| value.to_le_bytes()));
+            }
+            (Some(net), &[])
+        }
+        FloatDecoder::Table { actions } => (None, actions),
+    };
+    let latents = model.num_latents() as u16;
+    let parts = Parts {
+        kind: WeightKind::Float32,
+        interface: &model.interface,
+        input: model.obs_mean.iter().zip(&model.obs_std).map(|(mean, std)| (*mean, 1.0 / std)).collect(),
+        input_bits: crate::quant::INPUT_BITS,
+        q: pack_float(model.q.iter()),
+        confidence: model.confidence.as_ref().map(|layers| (pack_float(layers.iter()), threshold(model.beta, latents))),
+        decoder,
+        constants,
+        heads: &model.heads,
+        provenance: &model.provenance,
+    };
+    file(&parts, vectors, options)
+}
+
+fn file(parts: &Parts<'_>, vectors: &[(&[f32], Answer)], options: &FileOptions) -> Result<Vec<u8>, EncodeError> {
+    let mut out = Buffer::default();
+    out.zeros(HEADER_LEN + TABLE_LEN);
+    let mut index = 0;
+    let mut section = |out: &mut Buffer, write: &mut dyn FnMut(&mut Buffer)| {
+        out.align();
+        let start = out.0.len();
+        write(out);
+        let len = out.0.len() - start;
+        out.put_u32(HEADER_LEN + index * 8, start);
+        out.put_u32(HEADER_LEN + index * 8 + 4, len);
+        index += 1;
+    };
+    let mut hash = 0;
+    section(&mut out, &mut |out| hash = write_interface(out, parts.interface));
+    section(&mut out, &mut |out| {
+        out.u16(usize::from(parts.input_bits));
+        out.zeros(14);
+        for (offset, scale) in &parts.input {
+            out.f32(*offset);
+            out.f32(*scale);
+        }
+    });
+    section(&mut out, &mut |out| write_net(out, &parts.q, (0, 0)));
+    section(&mut out, &mut |out| {
+        if let Some((net, threshold)) = &parts.confidence {
+            write_net(out, net, *threshold);
+        }
+    });
+    section(&mut out, &mut |out| write_decoder(out, parts));
+    section(&mut out, &mut |out| {
+        out.u16(vectors.len());
+        out.zeros(14);
+        for (obs, (latent, action)) in vectors {
+            out.f32s(obs);
+            out.u16(usize::from(*latent));
+            out.u16(0);
+            out.f32s(action);
+        }
+    });
+    check_provenance(parts.provenance)?;
+    section(&mut out, &mut |out| write_provenance(out, parts.provenance));
+    out.align();
+    let payload_len = out.0.len() - HEADER_LEN;
+    for record in &options.trailer {
+        out.u16(usize::from(record.kind));
+        out.u16(0);
+        out.u32(record.data.len());
+        out.0.extend(CRC32.checksum(&record.data).to_le_bytes());
+        out.u32(0);
+        out.0.extend(&record.data);
+        out.align();
+    }
+    let total = out.0.len();
+    let mut header = Buffer(MAGIC.to_vec());
+    header.u16(usize::from(FORMAT_VERSION));
+    header.u16(usize::from(NUMERICS_VERSION));
+    header.u32(total);
+    header.u32(payload_len);
+    header.u32(0);
+    header.0.extend(hash.to_le_bytes());
+    header.0.extend(options.policy_seq.to_le_bytes());
+    header.u32(words(parts));
+    header.0.extend(RUNTIME_ABI.to_le_bytes());
+    header.u16(usize::from(parts.kind.code()));
+    out.0[..header.0.len()].copy_from_slice(&header.0);
+    reseal(&mut out.0);
+    Ok(out.0)
+}
+
+/// Recomputes the checksums of payload and header, for tests and tools that change bytes on purpose. Does nothing where
+/// the lengths in the header do not fit the file.
+pub fn reseal(file: &mut [u8]) {
+    let Some(payload_len) = crate::fields::u32_at(file, 16) else { return };
+    let Some(payload) = file.get(HEADER_LEN..).and_then(|rest| rest.get(..payload_len as usize)) else { return };
+    let crc = CRC32.checksum(payload);
+    file[20..24].copy_from_slice(&crc.to_le_bytes());
+    let crc = CRC32.checksum(&file[..60]);
+    file[60..64].copy_from_slice(&crc.to_le_bytes());
+}
+
+fn words(parts: &Parts<'_>) -> usize {
+    let hidden = |net: &PackedNet| net.layers.iter().rev().skip(1).map(|layer| layer.rows).max().unwrap_or(0);
+    let nets = [Some(&parts.q), parts.confidence.as_ref().map(|(net, _)| net), parts.decoder.as_ref()];
+    let width = nets.into_iter().flatten().map(hidden).max().unwrap_or(0);
+    let latents = parts.q.layers.last().map_or(0, |layer| layer.rows);
+    let head_rows = parts.decoder.as_ref().and_then(|net| net.layers.last()).map_or(0, |layer| layer.rows);
+    let size = if parts.kind == WeightKind::Int8 { scratch_words } else { scratch_words_float };
+    size(parts.input.len(), width, latents, parts.confidence.is_some(), head_rows)
+}
+
+/// Writes the section and returns the hash of the interface.
+fn write_interface(out: &mut Buffer, interface: &Interface) -> u64 {
+    let mut text = String::new();
+    let (mut observations, mut actions) = (Buffer::default(), Buffer::default());
+    let mut texts = |record: &mut Buffer, name: &str, unit: &str| {
+        record.u32(text.len());
+        record.u16(name.len());
+        record.u16(unit.len());
+        text.push_str(name);
+        text.push_str(unit);
+    };
+    for slot in &interface.observations {
+        texts(&mut observations, &slot.name, &slot.unit);
+        observations.f32(slot.lo);
+        observations.f32(slot.hi);
+    }
+    for slot in &interface.actions {
+        texts(&mut actions, &slot.name, &slot.unit);
+        let (kind, n, lo, hi) = match slot.head {
+            ActionHead::Continuous { lo, hi } => (HEAD_CONTINUOUS, 0, lo, hi),
+            ActionHead::Discrete { n } => (HEAD_DISCRETE, n, 0.0, 0.0),
+            ActionHead::Binary => (HEAD_BINARY, 0, 0.0, 0.0),
+        };
+        actions.u16(usize::from(kind));
+        actions.u16(usize::from(n));
+        actions.f32(lo);
+        actions.f32(hi);
+        actions.f32(slot.safe);
+    }
+    out.u16(interface.observations.len());
+    out.u16(interface.actions.len());
+    out.u32(interface.control_period_us as usize);
+    out.u32(text.len());
+    out.u32(0);
+    out.0.extend(&observations.0);
+    out.0.extend(&actions.0);
+    out.0.extend(text.as_bytes());
+    interface_hash(InterfaceView {
+        observations: observations.0.as_chunks().0,
+        actions: actions.0.as_chunks().0,
+        text: text.as_bytes(),
+        control_period_us: interface.control_period_us,
+    })
+}
+
+/// Records of the layers; returns where the place of each stream is to be written.
+fn write_layers(out: &mut Buffer, layers: &[PackedLayer]) -> Vec<usize> {
+    let mut places = vec![];
+    for layer in layers {
+        out.u16(layer.rows);
+        out.u16(layer.cols);
+        out.u16(layer.bits);
+        out.u16(0);
+        places.push(out.0.len());
+        out.zeros(8);
+    }
+    places
+}
+
+/// Places bytes at the next aligned offset and notes the place.
+fn place(out: &mut Buffer, at: usize, bytes: &[u8]) {
+    out.align();
+    out.put_u32(at, out.0.len());
+    out.put_u32(at + 4, bytes.len());
+    out.0.extend(bytes);
+}
+
+fn write_net(out: &mut Buffer, net: &PackedNet, threshold: (u32, u32)) {
+    let start = out.0.len();
+    out.u16(net.layers.len());
+    out.u16(net.frac_bits);
+    out.f32(net.scale);
+    out.0.extend(threshold.0.to_le_bytes());
+    out.0.extend(threshold.1.to_le_bytes());
+    debug_assert_eq!(out.0.len() - start, NET_HEAD);
+    let places = write_layers(out, &net.layers);
+    for (layer, at) in net.layers.iter().zip(places) {
+        place(out, at, &layer.stream);
+    }
+}
+
+fn write_decoder(out: &mut Buffer, parts: &Parts<'_>) {
+    let start = out.0.len();
+    let Some(net) = &parts.decoder else {
+        out.u16(usize::from(DECODER_TABLE));
+        out.zeros(14);
+        let bytes: Vec<u8> = parts.constants.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
+        place(out, start + 8, &bytes);
+        return;
+    };
+    out.u16(usize::from(DECODER_MODULATED));
+    out.u16(net.layers.len());
+    out.u16(net.frac_bits);
+    out.u16(parts.heads.len());
+    out.zeros(8);
+    let places = write_layers(out, &net.layers);
+    for (encoding, action) in parts.heads.iter().zip(&parts.interface.actions) {
+        let (kind, snap) = match encoding {
+            HeadEncoding::Tanh => (ENCODING_TANH, 0),
+            HeadEncoding::Categorical { snap: Snap::None, .. } => (ENCODING_CATEGORICAL, SNAP_NONE),
+            HeadEncoding::Categorical { snap: Snap::Edges, .. } => (ENCODING_CATEGORICAL, SNAP_EDGES),
+            HeadEncoding::Categorical { snap: Snap::Any, .. } => (ENCODING_CATEGORICAL, SNAP_ANY),
+            HeadEncoding::Types => (ENCODING_TYPES, 0),
+            HeadEncoding::Switch => (ENCODING_SWITCH, 0),
+        };
+        out.0.extend([kind, snap]);
+        out.u16(encoding.rows(action.head));
+    }
+    for (layer, at) in net.layers.iter().zip(places) {
+        place(out, at, &layer.stream);
+    }
+    place(out, start + 8, &net.table);
+}
+
+fn check_provenance(provenance: &ProvenanceOwned) -> Result<(), EncodeError> {
+    for (what, text) in [
+        ("environment", &provenance.environment),
+        ("algorithm", &provenance.algorithm),
+        ("config_hash", &provenance.config_hash),
+        ("commit", &provenance.commit),
+    ] {
+        if text.len() > crate::schema::MAX_TEXT || text.chars().any(char::is_control) {
+            let what = std::format!("provenance, {what}: at most 64 bytes without control characters; bytes");
+            return Err(EncodeError::Value { what, found: text.len() as f64 });
+        }
+    }
+    Ok(())
+}
+
+fn write_provenance(out: &mut Buffer, provenance: &ProvenanceOwned) {
+    for value in [provenance.train_seed, provenance.eval_seed, provenance.env_steps] {
+        out.0.extend(value.to_le_bytes());
+    }
+    for stats in [provenance.float_return, provenance.device_return] {
+        out.f32(stats.mean);
+        out.f32(stats.std);
+        out.0.extend(stats.episodes.to_le_bytes());
+    }
+    let texts = [&provenance.environment, &provenance.algorithm, &provenance.config_hash, &provenance.commit];
+    for text in texts {
+        out.u16(text.len());
+    }
+    for text in texts {
+        out.0.extend(text.as_bytes());
+    }
 }

@@ -1,0 +1,159 @@
+//! From a loaded policy back to owned data, so that a file can be written again with other provenance or vectors.
+
+use super::int_model::{IntDecoder, IntLayer, IntNet, QuantiseReport, QuantisedModel};
+use super::model::{ActionSlot, HeadEncoding, Interface, ObservationSlot, ProvenanceOwned, Snap};
+use crate::Policy;
+use crate::fields::i32_at;
+use crate::net::{
+    Decoder, ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, HEAD_LEN, Layer, Net, SNAP_ANY, SNAP_EDGES,
+};
+use std::vec;
+use std::vec::Vec;
+
+impl QuantisedModel {
+    /// What a loaded policy holds; writing it with the same vectors and options gives the same bytes.
+    #[must_use]
+    pub fn read(policy: &Policy<'_>) -> Self {
+        let nets = policy.nets();
+        let (decoder, heads) = match &nets.decoder {
+            Decoder::Table { actions } => {
+                let values: Vec<f32> = actions.as_chunks().0.iter().map(|&value| f32::from_le_bytes(value)).collect();
+                let slots = usize::from(policy.spec().action_dim);
+                (IntDecoder::Table(values.chunks(slots).map(<[f32]>::to_vec).collect()), vec![])
+            }
+            Decoder::Modulated { net, modulation, heads } => {
+                let mut int = read_net(net, true);
+                if let Some(first) = int.layers.first_mut() {
+                    first.constants = read_table(modulation, first.rows);
+                }
+                (IntDecoder::Modulated(int), heads.iter().map(read_head).collect())
+            }
+        };
+        Self {
+            interface: read_interface(policy),
+            input: policy.input_quantisers().map(|quantiser| (quantiser.offset, quantiser.scale)).collect(),
+            input_bits: policy.image().input_bits,
+            q: read_net(&nets.q, false),
+            confidence: nets
+                .confidence
+                .as_ref()
+                .map(|(net, threshold)| (read_net(net, false), (threshold.num, threshold.den))),
+            decoder,
+            heads,
+            provenance: policy.provenance().into(),
+            report: QuantiseReport::default(),
+        }
+    }
+}
+
+impl From<crate::Provenance<'_>> for ProvenanceOwned {
+    fn from(provenance: crate::Provenance<'_>) -> Self {
+        Self {
+            environment: provenance.environment.into(),
+            algorithm: provenance.algorithm.into(),
+            config_hash: provenance.config_hash.into(),
+            commit: provenance.commit.into(),
+            train_seed: provenance.train_seed,
+            eval_seed: provenance.eval_seed,
+            env_steps: provenance.env_steps,
+            float_return: provenance.float_return,
+            device_return: provenance.device_return,
+        }
+    }
+}
+
+fn read_interface(policy: &Policy<'_>) -> Interface {
+    Interface {
+        observations: policy
+            .observation_signals()
+            .map(|signal| ObservationSlot {
+                name: signal.name.into(),
+                unit: signal.unit.into(),
+                lo: signal.lo,
+                hi: signal.hi,
+            })
+            .collect(),
+        actions: policy
+            .action_signals()
+            .map(|signal| ActionSlot {
+                name: signal.name.into(),
+                unit: signal.unit.into(),
+                head: signal.head,
+                safe: signal.safe,
+            })
+            .collect(),
+        control_period_us: policy.spec().control_period_us,
+    }
+}
+
+fn read_head(record: &[u8; HEAD_LEN]) -> HeadEncoding {
+    let [kind, snap, low, high] = *record;
+    match kind {
+        ENCODING_TANH => HeadEncoding::Tanh,
+        ENCODING_CATEGORICAL => HeadEncoding::Categorical {
+            atoms: usize::from(u16::from_le_bytes([low, high])),
+            snap: match snap {
+                SNAP_EDGES => Snap::Edges,
+                SNAP_ANY => Snap::Any,
+                _ => Snap::None,
+            },
+        },
+        ENCODING_SWITCH => HeadEncoding::Switch,
+        _ => HeadEncoding::Types,
+    }
+}
+
+fn read_net(net: &Net<'_>, modulated: bool) -> IntNet {
+    let layers = net.layers().enumerate().map(|(index, layer)| read_layer(layer, modulated && index == 0));
+    IntNet { layers: layers.collect(), frac_bits: net.frac_bits as u16, scale: net.scale }
+}
+
+/// Unpacks the stream of a layer.
+fn read_layer(layer: &Layer<'_>, modulated: bool) -> IntLayer {
+    let (rows, cols) = (usize::from(layer.rows), usize::from(layer.cols));
+    let padded = cols.next_multiple_of(16);
+    let mut out = IntLayer {
+        rows,
+        cols,
+        bits: layer.bits,
+        weights: vec![0; rows * cols],
+        start: vec![0; rows],
+        constants: vec![],
+    };
+    let mut constants = vec![];
+    for (block, bytes) in layer.stream.chunks_exact(crate::kernels::block_len(layer.cols, modulated)).enumerate() {
+        let start = |word: usize| i32_at(bytes, word * 4).unwrap_or_default();
+        let lane = |pair: usize, col: usize| {
+            let at = 16 + (col / 2 * 2 + pair) * 4 + col % 2 * 2;
+            i16::from_le_bytes([bytes[at], bytes[at + 1]])
+        };
+        for offset in 0..(rows - block * 4).min(4) {
+            let (row, pair) = (block * 4 + offset, offset / 2);
+            let (raw, b) = (start(pair * 2), start(pair * 2 + 1));
+            out.start[row] = if offset % 2 == 0 { raw.wrapping_sub(b) } else { b };
+            for col in 0..cols {
+                let lane = lane(pair, col);
+                let low = lane as i8;
+                out.weights[row * cols + col] =
+                    if offset % 2 == 0 { ((lane - i16::from(low)) / 256) as i8 } else { low };
+            }
+            if !modulated {
+                constants.push(read_constant(&bytes[16 + padded * 4..], offset));
+            }
+        }
+    }
+    if !modulated {
+        out.constants.push(constants);
+    }
+    out
+}
+
+fn read_constant(bytes: &[u8], row: usize) -> (i32, i32) {
+    (i32_at(bytes, row * 4).unwrap_or_default(), i32_at(bytes, row * 4 + 16).unwrap_or_default())
+}
+
+/// Multipliers and offsets per latent.
+fn read_table(table: &[u8], rows: usize) -> Vec<Vec<(i32, i32)>> {
+    let latent = |bytes: &[u8]| (0..rows).map(|row| read_constant(&bytes[row / 4 * 32..], row % 4)).collect();
+    table.chunks_exact(rows.next_multiple_of(4) * 8).map(latent).collect()
+}
