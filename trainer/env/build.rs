@@ -1,26 +1,33 @@
-//! Says in one sentence what to do when the MuJoCo library is missing, before the linker says it in a hundred.
+//! Finds the MuJoCo library that `make setup` brings, or says in one sentence that it is missing.
 
-use std::{env, path::PathBuf, process::exit};
+use std::{
+    env,
+    path::{Path, PathBuf},
+};
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-env-changed=MUJOCO_DYNAMIC_LINK_DIR");
-    let wanted = env::var_os("CARGO_FEATURE_MUJOCO").is_some();
-    let other_way = ["MUJOCO_STATIC_LINK_DIR", "MUJOCO_DOWNLOAD_DIR"].iter().any(|v| env::var_os(v).is_some());
-    if !wanted || other_way || env::var("CARGO_CFG_TARGET_OS").as_deref() != Ok("linux") {
+    if env::var_os("CARGO_FEATURE_MUJOCO").is_none() {
         return;
     }
-    let Some(folder) = env::var_os("MUJOCO_DYNAMIC_LINK_DIR").map(PathBuf::from) else {
-        return; // mujoco-rs then asks pkg-config and says so itself
-    };
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let canonical = |path: PathBuf| path.canonicalize().ok();
+    let given = env::var_os("MUJOCO_DYNAMIC_LINK_DIR").map(PathBuf::from).and_then(canonical);
+    // Any other folder, or none, is the business of mujoco-rs: it checks the folder or asks pkg-config.
+    if given.is_none() || given != canonical(root.join(".cargo/mujoco")) {
+        return;
+    }
+    let folder = root.canonicalize().unwrap_or(root).join("target/mujoco");
     let library = folder.join("libmujoco.so");
     println!("cargo::rerun-if-changed={}", library.display());
     if !library.exists() {
         println!(
-            "cargo::error=the MuJoCo library is missing ({} not found): run `make setup`, or build with \
+            "cargo::error=the MuJoCo library is missing: run `make setup` (not found: {}), or build with \
              `--no-default-features` to leave the MuJoCo environments out",
             library.display()
         );
-        exit(1);
+        return;
     }
+    println!("cargo::rustc-link-search=native={}", folder.display());
 }
