@@ -1,1 +1,42 @@
-//! Placeholder of `gadm-sim`; replaced by its first commit.
+//! Software in the loop: a policy node drives a simulated plant over a CAN bus, in virtual time.
+//!
+//! The plant is an environment of `gadm-envs`, the node is `gadm-node`, and all that passes between them are frames. A
+//! run is a function of policy, plant, profile and seed: the same seed gives the same trace, byte for byte, and in
+//! profile `fd-f32` the same returns as `gadm eval` on the policy file, bit for bit.
+//!
+//! ```no_run
+//! use gadm_sim::{RunOptions, run};
+//!
+//! # fn main() -> Result<(), gadm_sim::SimError> {
+//! let result = run(&RunOptions { episodes: 5, seed: 1, ..RunOptions::new("policy.bin") })?;
+//! println!("{:.1} ± {:.1}", result.returns.mean, result.returns.sd);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! | module | holds |
+//! | --- | --- |
+//! | [`sil`] | the loop |
+//! | [`plant_node`], [`host`] | the other two participants |
+//! | [`target`] | where the node runs |
+//! | [`bus`] | loopback, candump traces, faults, load |
+//! | [`decode`] | frames as named signals |
+//! | [`result`] | what a run found out |
+
+pub mod bus;
+pub mod decode;
+mod error;
+pub mod host;
+pub mod interface;
+pub mod plant_node;
+pub mod result;
+mod seed;
+pub mod sil;
+pub mod target;
+
+pub use bus::load::BitRate;
+pub use error::SimError;
+pub use gadm_node::Profile;
+pub use result::{EpisodeResult, ReturnSummary, RunResult};
+pub use seed::episode_seed;
+pub use sil::{Progress, RunOptions, run, run_with_progress, simulate};

@@ -65,6 +65,12 @@ impl Frame {
         Some(Self { id, kind, len: u8::try_from(len).ok()?, data })
     }
 
+    /// The length code of a remote frame; `None` for others.
+    #[must_use]
+    pub fn remote_dlc(&self) -> Option<usize> {
+        (self.kind == Kind::Remote).then_some(usize::from(self.len))
+    }
+
     /// Identifier.
     #[must_use]
     pub fn identifier(&self) -> Id {

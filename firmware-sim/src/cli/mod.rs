@@ -1,0 +1,58 @@
+//! The command line. People read standard error, programs standard output.
+
+mod run;
+mod trace;
+
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use gadm_sim::SimError;
+
+/// A criterion was missed.
+const CRITERIA_MISSED: u8 = 3;
+
+const EXIT_CODES: &str = "Exit codes: 0 ok, 1 error, 2 usage, 3 criteria missed, 4 something is missing here.";
+
+#[derive(Parser)]
+#[command(name = "gadm-sim", version, about, max_term_width = 80, after_help = EXIT_CODES)]
+/// Runs a policy on a simulated plant over a CAN bus, and reads traces
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Drive a plant with a policy over the bus, in virtual time
+    Run(run::Args),
+    /// Read a candump trace as named signals
+    Trace(trace::Args),
+}
+
+/// Runs the program.
+pub(crate) fn main() -> ExitCode {
+    let done = match Cli::parse().command {
+        Command::Run(args) => run::main(&args),
+        Command::Trace(args) => trace::main(&args),
+    };
+    match done {
+        Ok(code) => code,
+        Err(error) => {
+            // A reader that went away (`gadm-sim trace … | head`) is no error.
+            let gone =
+                error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe);
+            if gone {
+                return ExitCode::SUCCESS;
+            }
+            say(&format!("error: {error:#}"));
+            ExitCode::from(error.downcast_ref::<SimError>().map_or(1, SimError::exit_code))
+        }
+    }
+}
+
+/// One line for people.
+fn say(text: &str) {
+    // Nobody is left to be told about a closed standard error.
+    let _ = writeln!(std::io::stderr(), "{text}");
+}

@@ -1,0 +1,393 @@
+//! The loop in virtual time: the plant starts a period, the node answers, the plant applies the answer.
+//!
+//! A run is a function of policy, plant, options and seed. Nothing here reads a clock.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+
+use gadm_envs::Env;
+use gadm_node::codec::{Layout, Profile};
+use gadm_node::{Flags, Frame, Link, LinkError, NodeConfig, NodeId, State, TimeSource};
+use gadm_runtime::Policy;
+use gadm_runtime::encode::AlignedImage;
+
+use crate::bus::load::{BitRate, load};
+use crate::bus::loopback::{Loopback, Port, Tap};
+use crate::bus::trace::TraceWriter;
+use crate::host::Host;
+use crate::plant_node::PlantNode;
+use crate::result::{BusSummary, EpisodeResult, PolicySummary, RESULT_VERSION, ReturnSummary, RunResult};
+use crate::target::{InProcess, Target};
+use crate::{SimError, episode_seed, interface};
+
+/// Bus load above which a run warns, per cent.
+const LOAD_WARNING: f64 = 70.0;
+
+/// What to run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunOptions {
+    /// The policy file.
+    pub policy: PathBuf,
+    /// Registry id of the plant; `None`: the environment that the policy names.
+    pub plant: Option<String>,
+    /// Episodes.
+    pub episodes: u64,
+    /// Seed of the run; episode `i` starts from [`episode_seed`]`(seed, i)`.
+    pub seed: u64,
+    /// How values travel.
+    pub profile: Profile,
+    /// Bit rates, for the load and the time stamps.
+    pub bit_rate: BitRate,
+    /// Where to write the trace.
+    pub trace: Option<PathBuf>,
+}
+
+impl RunOptions {
+    /// 20 episodes with seed 0 in `fd-f32` on the policy's own environment, without a trace.
+    pub fn new(policy: impl Into<PathBuf>) -> Self {
+        Self {
+            policy: policy.into(),
+            plant: None,
+            episodes: 20,
+            seed: 0,
+            profile: Profile::FdF32,
+            bit_rate: BitRate::default(),
+            trace: None,
+        }
+    }
+}
+
+/// How far a run is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// Episodes that ended.
+    pub episodes: u64,
+    /// Control periods so far.
+    pub steps: u64,
+    /// Mean return of the episodes that ended; 0 before the first.
+    pub mean_return: f64,
+}
+
+/// Reads a file of at most 256 MiB into memory aligned as the runtime wants it.
+///
+/// # Errors
+/// [`SimError::Read`].
+pub fn read_image(path: &Path) -> Result<AlignedImage, SimError> {
+    let bytes = std::fs::read(path).map_err(|source| SimError::Read { path: path.to_owned(), source })?;
+    Ok(AlignedImage::new(&bytes))
+}
+
+/// Runs a policy file on a plant of the registry.
+///
+/// # Errors
+/// Everything in [`SimError`]; the trace then holds what was sent until there.
+pub fn run(options: &RunOptions) -> Result<RunResult, SimError> {
+    run_with_progress(options, &mut |_| {})
+}
+
+/// As [`run`], and tells how far it is: at every episode's end and every 256 steps.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_with_progress(options: &RunOptions, progress: &mut dyn FnMut(Progress)) -> Result<RunResult, SimError> {
+    let image = read_image(&options.policy)?;
+    let policy = Policy::load(&image).map_err(SimError::Policy)?;
+    let id = match &options.plant {
+        Some(id) => id.clone(),
+        None if policy.provenance().environment.is_empty() => return Err(SimError::NoPlant),
+        None => policy.provenance().environment.to_owned(),
+    };
+    let env = gadm_envs::make(&id)?;
+    let Some(path) = &options.trace else {
+        return simulate(options, &image, env, None, progress);
+    };
+    let failed = |source| SimError::Write { path: path.clone(), source };
+    let file = SharedFile(Rc::new(std::cell::RefCell::new(BufWriter::new(File::create(path).map_err(failed)?))));
+    let tap: Box<dyn Tap> = Box::new(TraceWriter::new(file.clone()));
+    let result = simulate(options, &image, env, Some(tap), progress);
+    file.0.borrow_mut().flush().map_err(failed)?;
+    result
+}
+
+/// A file that the bus writes and the caller flushes, so that a full disk is noticed.
+#[derive(Clone)]
+struct SharedFile(Rc<std::cell::RefCell<BufWriter<File>>>);
+
+impl Write for SharedFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.borrow_mut().write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.borrow_mut().flush()
+    }
+}
+
+/// Runs the policy in `image` on any plant, in this process. `tap` sees every frame; the paths in `options` are only
+/// named in errors.
+///
+/// # Errors
+/// Everything in [`SimError`].
+pub fn simulate(
+    options: &RunOptions,
+    image: &[u8],
+    env: Box<dyn Env>,
+    tap: Option<Box<dyn Tap>>,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<RunResult, SimError> {
+    simulate_with_link(options, image, env, tap, progress, |port, _| port)
+}
+
+/// As [`simulate`], with a link of the caller's between the bus and the node: a
+/// [`FaultyLink`](crate::bus::fault::FaultyLink), say. `wrap` gets the node's port and the bus.
+///
+/// # Errors
+/// Everything in [`SimError`].
+pub fn simulate_with_link<L: Link>(
+    options: &RunOptions,
+    image: &[u8],
+    env: Box<dyn Env>,
+    tap: Option<Box<dyn Tap>>,
+    progress: &mut dyn FnMut(Progress),
+    wrap: impl FnOnce(Port, &Loopback) -> L,
+) -> Result<RunResult, SimError> {
+    let policy = Policy::load(image).map_err(SimError::Policy)?;
+    interface::check(&policy, env.spec())?;
+    let bus = Loopback::new(options.bit_rate, tap);
+    let node_port = bus.port();
+    let link = wrap(node_port, &bus);
+    let config = NodeConfig { profile: options.profile, time: TimeSource::Tick, ..NodeConfig::default() };
+    let mut scratch = vec![0; policy.spec().scratch_words];
+    let target = InProcess::new(config, link, image, &mut scratch);
+    Run::new(options, &policy, env, bus, target)?.finish(progress)
+}
+
+struct Run<'o, 'p, T> {
+    options: &'o RunOptions,
+    policy: &'o Policy<'p>,
+    bus: Loopback,
+    host: Host<Port>,
+    plant: PlantNode<Port>,
+    target: T,
+    layout: Layout,
+    plant_id: String,
+    period_us: u32,
+    latent_counts: Vec<u64>,
+    steps: u64,
+}
+
+impl<'o, 'p, T: Target> Run<'o, 'p, T> {
+    fn new(
+        options: &'o RunOptions,
+        policy: &'o Policy<'p>,
+        env: Box<dyn Env>,
+        bus: Loopback,
+        target: T,
+    ) -> Result<Self, SimError> {
+        let layout = policy_layout(policy, options.profile)?;
+        let spec = env.spec();
+        Ok(Self {
+            options,
+            policy,
+            host: Host::new(bus.port(), NodeId::DEFAULT),
+            plant_id: spec.id.clone(),
+            period_us: spec.control_period_us,
+            plant: PlantNode::new(env, bus.port(), layout.clone()),
+            bus,
+            target,
+            layout,
+            latent_counts: vec![0; usize::from(policy.spec().num_latents)],
+            steps: 0,
+        })
+    }
+
+    fn finish(mut self, progress: &mut dyn FnMut(Progress)) -> Result<RunResult, SimError> {
+        self.settle()?;
+        self.expect(State::Ready)?;
+        let mut episodes = Vec::new();
+        let mut total = 0.0;
+        for episode in 0..self.options.episodes {
+            let mean_return = if episode > 0 { total / episode as f64 } else { 0.0 };
+            let done =
+                self.episode(episode, &mut |steps| progress(Progress { episodes: episode, steps, mean_return }))?;
+            total += done.ret;
+            episodes.push(done);
+            let mean_return = total / (episode + 1) as f64;
+            progress(Progress { episodes: episode + 1, steps: self.steps, mean_return });
+        }
+        Ok(self.result(episodes))
+    }
+
+    fn episode(&mut self, episode: u64, progress: &mut dyn FnMut(u64)) -> Result<EpisodeResult, SimError> {
+        let seed = episode_seed(self.options.seed, episode);
+        let mut e = EpisodeResult {
+            episode,
+            seed,
+            ret: 0.0,
+            steps: 0,
+            terminated: false,
+            truncated: false,
+            held: 0,
+            safe: 0,
+            missing: 0,
+            fallback: 0,
+            clipped: 0,
+            late: 0,
+        };
+        self.plant.reset(seed);
+        self.bus.set_time(self.plant.now_us());
+        self.sent("host", |s| s.host.run())?;
+        self.settle()?;
+        if episode == 0 || self.host.state() != Some(State::Safe) {
+            self.expect(State::Run)?;
+        }
+        while !(e.terminated || e.truncated) {
+            let now_us = self.plant.now_us();
+            self.bus.set_time(now_us);
+            self.sent("host", |s| s.host.step(now_us))?;
+            self.sent("plant", |s| s.plant.sense())?;
+            self.settle()?;
+            let (step, applied) = self.sent("plant", |s| s.plant.drive())?;
+            e.ret += step.reward;
+            e.steps += 1;
+            (e.terminated, e.truncated) = (step.terminated, step.truncated);
+            let has = |flag| u64::from(applied.flags.contains(flag));
+            e.held += has(Flags::HELD);
+            e.safe += has(Flags::SAFE);
+            e.fallback += has(Flags::FALLBACK);
+            e.clipped += has(Flags::CLIPPED);
+            e.late += has(Flags::LATE);
+            e.missing += u64::from(!applied.fresh);
+            let decided = applied.fresh && !applied.flags.contains(Flags::HELD);
+            if let (true, Some(count)) = (decided, self.latent_counts.get_mut(usize::from(applied.latent))) {
+                *count += 1;
+            }
+            self.steps += 1;
+            if self.steps.is_multiple_of(256) {
+                progress(self.steps);
+            }
+            if self.host.state() == Some(State::Fault) {
+                self.expect(State::Run)?;
+            }
+        }
+        self.bus.set_time(self.plant.now_us());
+        self.sent("host", |s| s.host.stop())?;
+        self.settle()?;
+        Ok(e)
+    }
+
+    /// Lets the node and the host handle everything that is on the bus.
+    fn settle(&mut self) -> Result<(), SimError> {
+        self.target.settle(self.plant.now_us())?;
+        self.sent("host", |s| s.host.listen())?;
+        let path = self.options.trace.clone().unwrap_or_default();
+        self.bus.check().map_err(|source| SimError::Write { path, source })
+    }
+
+    fn sent<R>(
+        &mut self,
+        participant: &'static str,
+        f: impl FnOnce(&mut Self) -> Result<R, LinkError>,
+    ) -> Result<R, SimError> {
+        f(self).map_err(|source| SimError::Bus { participant, now_us: self.plant.now_us(), source })
+    }
+
+    fn expect(&self, expected: State) -> Result<(), SimError> {
+        let found = self.host.state();
+        if found == Some(expected) {
+            return Ok(());
+        }
+        let fault = self.host.fault();
+        let next = match found {
+            Some(State::NoPolicy) => "export the policy again with this version of the programs",
+            Some(State::Fault) => "look at the trace (--trace FILE), then reset the node",
+            _ => "look at the trace (--trace FILE)",
+        };
+        Err(SimError::Node {
+            expected: expected.name(),
+            state: found.map_or("no heartbeat", State::name).to_owned(),
+            fault: fault.name(),
+            meaning: fault.meaning(),
+            next,
+        })
+    }
+
+    fn result(self, episodes: Vec<EpisodeResult>) -> RunResult {
+        let (frames, busy_s) = self.bus.traffic();
+        let virtual_s = self.plant.now_us() as f64 / 1e6;
+        let load = load(&self.layout, self.period_us, self.options.bit_rate);
+        let provenance = self.policy.provenance();
+        let mut warnings = Vec::new();
+        if load.total_percent > LOAD_WARNING {
+            warnings.push(format!(
+                "bus load {:.0} % is above {LOAD_WARNING:.0} %: use another profile or a higher bit rate on a real bus",
+                load.total_percent
+            ));
+        }
+        if !provenance.environment.is_empty() && !provenance.environment.eq_ignore_ascii_case(&self.plant_id) {
+            warnings.push(format!("trained for `{}`, run on `{}`", provenance.environment, self.plant_id));
+        }
+        let returns: Vec<f64> = episodes.iter().map(|e| e.ret).collect();
+        RunResult {
+            version: RESULT_VERSION,
+            policy: PolicySummary {
+                environment: provenance.environment.to_owned(),
+                interface_hash: format!("{:016x}", self.policy.interface_hash()),
+                crc32: format!("{:08x}", self.policy.header().payload_crc32),
+                num_latents: self.policy.spec().num_latents,
+                bytes: self.policy.header().total_len as usize,
+            },
+            plant: self.plant_id,
+            target: self.target.name().to_owned(),
+            profile: self.options.profile.name(),
+            seed: self.options.seed,
+            returns: ReturnSummary::of(&returns),
+            episodes,
+            latents_used: self.latent_counts.iter().filter(|&&n| n > 0).count(),
+            latent_counts: self.latent_counts,
+            steps: self.steps,
+            virtual_s,
+            node: self.target.status().map(|s| s.counters.into()),
+            bus: BusSummary {
+                bit_rate: self.options.bit_rate,
+                load,
+                measured_percent: if virtual_s > 0.0 { busy_s / virtual_s * 100.0 } else { 0.0 },
+                frames,
+                plant_errors: self.plant.errors(),
+            },
+            warnings,
+        }
+    }
+}
+
+/// The frames of a policy for node 1.
+///
+/// # Errors
+/// [`SimError::Layout`] where the profile cannot carry it.
+pub fn policy_layout(policy: &Policy, profile: Profile) -> Result<Layout, SimError> {
+    let ranges = policy.observation_signals().map(|s| (s.lo, s.hi));
+    let heads = policy.action_signals().map(|s| s.head);
+    Layout::new(profile, NodeId::DEFAULT, policy.interface_hash(), ranges, heads)
+        .map_err(|source| SimError::Layout { profile: profile.name(), source })
+}
+
+/// A tap that keeps every frame in memory, for tests and for programs that look at a run at once.
+#[derive(Clone, Debug, Default)]
+pub struct Recorder(Rc<std::cell::RefCell<Vec<(u64, Frame)>>>);
+
+impl Recorder {
+    /// What was recorded so far: time stamp in microseconds, frame.
+    #[must_use]
+    pub fn frames(&self) -> Vec<(u64, Frame)> {
+        self.0.borrow().clone()
+    }
+}
+
+impl Tap for Recorder {
+    fn frame(&mut self, time_us: u64, frame: &Frame) -> io::Result<()> {
+        self.0.borrow_mut().push((time_us, *frame));
+        Ok(())
+    }
+}

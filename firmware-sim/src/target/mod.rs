@@ -1,0 +1,25 @@
+//! Where the node runs: linked in, or elsewhere, behind one trait.
+
+mod in_process;
+
+pub use in_process::InProcess;
+
+use gadm_node::NodeStatus;
+
+use crate::SimError;
+
+/// A node on the bus, as the virtual-time loop sees it.
+pub trait Target {
+    /// Name for reports, such as `in-process`.
+    fn name(&self) -> &str;
+
+    /// Lets the node handle everything that was sent so far and put its answers on the bus. Returns when it waits for
+    /// new frames. `now_us` is the virtual time, microseconds.
+    ///
+    /// # Errors
+    /// Where the node cannot be reached or does not come to rest.
+    fn settle(&mut self, now_us: u64) -> Result<(), SimError>;
+
+    /// What the node says of itself beyond its frames; `None` where frames are all there is.
+    fn status(&self) -> Option<NodeStatus>;
+}
