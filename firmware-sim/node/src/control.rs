@@ -149,7 +149,9 @@ pub struct ControlNode<'p, L: Link> {
     allowed: u8,
     inference_us: u16,
     host_at_us: Option<u64>,
+    /// What the last heartbeat said, and whether the bus refused a newer one.
     reported: Option<(State, Fault)>,
+    unsent: bool,
     heartbeat_at_us: u64,
     heartbeat_seq: u8,
     page: u8,
@@ -198,6 +200,7 @@ impl<'p, L: Link> ControlNode<'p, L> {
             inference_us: 0,
             host_at_us: None,
             reported: None,
+            unsent: false,
             heartbeat_at_us: 0,
             heartbeat_seq: 0,
             page: 0,
@@ -262,8 +265,8 @@ impl<'p, L: Link> ControlNode<'p, L> {
         let mut counters = self.counters;
         counters.torn = self.set.torn();
         let fault = self.reported_fault();
-        let busy =
-            more || self.reported != Some((self.state, fault)) || matches!(self.state, State::Boot | State::SelfTest);
+        let news = self.reported != Some((self.state, fault)) && !self.unsent;
+        let busy = more || news || matches!(self.state, State::Boot | State::SelfTest);
         NodeStatus { state: self.state, fault, latent: self.latent, busy, counters }
     }
 
@@ -308,7 +311,12 @@ impl<'p, L: Link> ControlNode<'p, L> {
         self.state = to;
         self.fault = fault;
         match (from, to) {
-            (_, State::Boot) => self.forget(),
+            (_, State::Boot) => {
+                if matches!(from, State::Run | State::Safe | State::Fault) {
+                    self.leave_control();
+                }
+                self.forget();
+            }
             (_, State::Safe) => {
                 increment(&mut self.counters.safe_entries);
                 self.shaper.begin_ramp(event == Event::Estop);
@@ -321,14 +329,19 @@ impl<'p, L: Link> ControlNode<'p, L> {
             }
             (State::Safe, State::Run) => self.start_run(),
             (State::Run, State::Ready) => {
-                self.shaper.reset();
+                self.leave_control();
                 self.host_at_us = None;
-                if let Some(tick) = self.tick {
-                    self.send_action(tick, NO_LATENT, Flags::SAFE);
-                    increment(&mut self.counters.safe);
-                }
             }
             _ => {}
+        }
+    }
+
+    /// The safe action, once, as the last word.
+    fn leave_control(&mut self) {
+        self.shaper.reset();
+        if let Some(tick) = self.tick {
+            self.send_action(tick, NO_LATENT, Flags::SAFE);
+            increment(&mut self.counters.safe);
         }
     }
 
@@ -599,7 +612,10 @@ impl<'p, L: Link> ControlNode<'p, L> {
             seq: self.heartbeat_seq,
             value: self.value(page),
         };
-        self.send(&frame.frame());
+        self.unsent = !self.send(&frame.frame());
+        if self.unsent {
+            return;
+        }
         self.reported = Some(now);
         self.heartbeat_at_us = self.now_us;
         self.heartbeat_seq = self.heartbeat_seq.wrapping_add(1);
@@ -682,10 +698,12 @@ impl<'p, L: Link> ControlNode<'p, L> {
         }
     }
 
-    fn send(&mut self, frame: &Frame) {
-        if let Err(error) = self.link.send(frame) {
+    fn send(&mut self, frame: &Frame) -> bool {
+        let sent = self.link.send(frame);
+        if let Err(error) = sent {
             self.link_failed(error);
         }
+        sent.is_ok()
     }
 
     fn link_failed(&mut self, error: LinkError) {

@@ -263,6 +263,7 @@ const fn arrow(from: State, event: Event, to: State, action: &'static str) -> Tr
 
 const RAMP: &str = "safe action by a ramp";
 const RESTART: &str = "forget everything, read the image again";
+const LEAVE: &str = "safe action once; forget everything, read the image again";
 
 /// All arrows. What is not here does not change the state.
 pub const TRANSITIONS: &[Transition] = &[
@@ -285,9 +286,9 @@ pub const TRANSITIONS: &[Transition] = &[
     arrow(State::Safe, Event::BusOffRepeated, State::Fault, "no further restart of the controller"),
     arrow(State::NoPolicy, Event::ResetRequest, State::Boot, RESTART),
     arrow(State::Ready, Event::ResetRequest, State::Boot, RESTART),
-    arrow(State::Run, Event::ResetRequest, State::Boot, RESTART),
-    arrow(State::Safe, Event::ResetRequest, State::Boot, RESTART),
-    arrow(State::Fault, Event::ResetRequest, State::Boot, RESTART),
+    arrow(State::Run, Event::ResetRequest, State::Boot, LEAVE),
+    arrow(State::Safe, Event::ResetRequest, State::Boot, LEAVE),
+    arrow(State::Fault, Event::ResetRequest, State::Boot, LEAVE),
 ];
 
 /// The state after `event`, where the table has such an arrow.

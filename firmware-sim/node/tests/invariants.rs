@@ -112,6 +112,7 @@ fn apply(rig: &mut Rig, op: &Op) {
         Op::Skip(n) => {
             rig.tick = rig.tick.wrapping_add(*n);
             rig.now += u64::from(*n) * T;
+            rig.poll();
         }
         Op::Wait(us) => {
             rig.now += us;
@@ -174,6 +175,7 @@ fn check(profile: Profile, time: TimeSource, ops: &[Op]) -> Result<(), TestCaseE
             }
             if act.has(Flags::SAFE) {
                 prop_assert_eq!(act.header.latent, NO_LATENT);
+                last_act_seq = None; // what is held from here on is the safe action
             } else if act.has(Flags::HELD) {
                 if let Some(seq) = last_act_seq {
                     let age = profile.ahead(act.header.seq, seq);
@@ -228,7 +230,7 @@ fn check(profile: Profile, time: TimeSource, ops: &[Op]) -> Result<(), TestCaseE
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn lockstep_fd(ops in prop::collection::vec(op(), 1..120)) {

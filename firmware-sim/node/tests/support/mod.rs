@@ -90,6 +90,7 @@ impl Link for TestLink {
     fn receive(&mut self, frame: &mut Frame) -> Result<bool, LinkError> {
         let mut wire = self.0.borrow_mut();
         if wire.off {
+            wire.rx.clear(); // a controller that is off hears nothing
             return Err(LinkError::BusOff);
         }
         let next = wire.rx.pop_front();
