@@ -29,11 +29,16 @@
 extern crate std;
 
 mod argmax;
+mod decision;
 mod decoder;
 #[cfg(feature = "encode")]
 pub mod encode;
 mod error;
 mod fields;
+#[cfg(feature = "float")]
+mod float;
+#[cfg(feature = "float")]
+mod float_heads;
 mod interface;
 pub mod kernels;
 mod load;
@@ -51,10 +56,15 @@ mod self_test;
 mod sizes;
 pub mod space;
 
+pub use decision::Decision;
+#[cfg(any(feature = "encode", feature = "float"))]
+pub use decision::FloatDecision;
 pub use error::{ActError, LoadError, SelfTestError};
+#[cfg(feature = "float")]
+pub use float::FloatPolicy;
 pub use interface::{ActionSignal, ObservationSignal};
 pub use mask::LatentMask;
-pub use policy::{Decision, InputQuantiser, Policy};
+pub use policy::{InputQuantiser, Policy};
 pub use provenance::{Provenance, ReturnStats};
 pub use schema::{Header, PolicySpec, Section, WeightKind};
 pub use scratch::{Scratch, scratch_words, scratch_words_float};

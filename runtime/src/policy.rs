@@ -1,6 +1,7 @@
 //! The policy: a validated view of the image, and one control step.
 
 use crate::argmax::masked_argmax;
+use crate::decision::Decision;
 use crate::decoder::emit_heads;
 use crate::error::{ActError, LoadError, SelfTestError};
 use crate::fields::f32_at;
@@ -16,21 +17,6 @@ use crate::schema::{Header, PolicySpec, WeightKind};
 use crate::scratch::Scratch;
 use crate::self_test::{self_test_vectors, slot_differs};
 use crate::sizes::{LayerShape, SectionSizes, layer_shapes};
-
-/// What a step decided.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Decision {
-    /// The latent that was chosen.
-    pub latent: u16,
-    /// The latents that the confidence network allowed; all of them without such a network.
-    pub allowed: LatentMask,
-    /// No latent passed the threshold, so the set was made by the empty-mask rule.
-    pub fallback: bool,
-    /// At least one observation lay outside of the range of the input quantiser and was clamped to it.
-    pub clipped: bool,
-    /// Q-logit of the chosen latent, in the units of the network's last layer; see [`Policy::q_scale`].
-    pub q: i32,
-}
 
 /// How one observation becomes an integer: `round((x - offset) * scale)`, clamped to `-max - 1..=max`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,11 +38,19 @@ impl InputQuantiser {
 }
 
 /// A validated policy. Weights stay where they are, in the image.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy)]
 pub struct Policy<'a> {
     image: Image<'a>,
     nets: Nets<'a>,
     spec: PolicySpec,
+}
+
+impl core::fmt::Debug for Policy<'_> {
+    /// Dimensions, not weights.
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let hash = self.image.header.interface_hash;
+        f.debug_struct("Policy").field("spec", &self.spec).field("interface_hash", &hash).finish_non_exhaustive()
+    }
 }
 
 /// The scratch memory of a step, divided.

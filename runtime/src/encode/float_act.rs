@@ -1,8 +1,9 @@
 //! The step in plain `f32`: the reference that the quantised policy is measured against.
 
-use super::model::{Dense, FloatDecision, FloatDecoder, FloatModel, HeadEncoding, Snap};
+use super::model::{Dense, FloatDecoder, FloatModel, HeadEncoding, Snap};
 use super::threshold::threshold;
 use crate::LatentMask;
+use crate::decision::FloatDecision;
 use std::vec;
 use std::vec::Vec;
 

@@ -27,6 +27,11 @@ impl AlignedImage {
     pub fn as_bytes(&self) -> &[u8] {
         &self.bytes[self.start..self.start + self.len]
     }
+
+    /// The bytes, to be changed.
+    pub fn as_bytes_mut(&mut self) -> &mut [u8] {
+        &mut self.bytes[self.start..self.start + self.len]
+    }
 }
 
 impl core::ops::Deref for AlignedImage {

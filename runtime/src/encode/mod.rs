@@ -19,6 +19,8 @@ mod error;
 mod float_act;
 mod image;
 mod int_model;
+#[cfg(test)]
+mod kernel_tests;
 mod model;
 mod quantise;
 mod read;
@@ -26,12 +28,12 @@ mod rows;
 mod threshold;
 mod write;
 
+pub use crate::decision::FloatDecision;
 pub use error::EncodeError;
 pub use image::AlignedImage;
 pub use int_model::{LayerReport, QuantiseReport, QuantisedModel};
 pub use model::{
-    ActionSlot, Dense, FloatDecision, FloatDecoder, FloatModel, HeadEncoding, Interface, ObservationSlot,
-    ProvenanceOwned, Snap,
+    ActionSlot, Dense, FloatDecoder, FloatModel, HeadEncoding, Interface, ObservationSlot, ProvenanceOwned, Snap,
 };
 pub use quantise::{QuantiseOptions, quantise};
 pub use write::{FileOptions, TrailerRecord, reseal, write_float, write_int8};

@@ -1,6 +1,5 @@
 //! The float model that is exported, with owned data.
 
-use crate::LatentMask;
 use crate::provenance::ReturnStats;
 use crate::space::ActionHead;
 use std::string::String;
@@ -154,19 +153,6 @@ pub struct FloatModel {
     pub heads: Vec<HeadEncoding>,
     /// Where the model comes from.
     pub provenance: ProvenanceOwned,
-}
-
-/// What a float step decided.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FloatDecision {
-    /// The latent that was chosen.
-    pub latent: u16,
-    /// The latents that the confidence network allowed.
-    pub allowed: LatentMask,
-    /// The set was made by the empty-mask rule.
-    pub fallback: bool,
-    /// Q-value of the chosen latent.
-    pub q: f32,
 }
 
 impl HeadEncoding {

@@ -26,7 +26,7 @@ impl QuantisedModel {
                 if let Some(first) = int.layers.first_mut() {
                     first.constants = read_table(modulation, first.rows);
                 }
-                (IntDecoder::Modulated(int), heads.iter().map(read_head).collect())
+                (IntDecoder::Modulated(int), heads.iter().map(|&record| read_head(record)).collect())
             }
         };
         Self {
@@ -86,8 +86,7 @@ fn read_interface(policy: &Policy<'_>) -> Interface {
     }
 }
 
-fn read_head(record: &[u8; HEAD_LEN]) -> HeadEncoding {
-    let [kind, snap, low, high] = *record;
+fn read_head([kind, snap, low, high]: [u8; HEAD_LEN]) -> HeadEncoding {
     match kind {
         ENCODING_TANH => HeadEncoding::Tanh,
         ENCODING_CATEGORICAL => HeadEncoding::Categorical {

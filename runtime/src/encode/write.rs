@@ -92,6 +92,12 @@ pub fn write_float(model: &FloatModel, self_test: &[f32], options: &FileOptions)
     let image = AlignedImage::new(&bytes);
     let loaded = crate::load::Image::load(&image, WeightKind::Float32)?;
     crate::load_net::Nets::load(&loaded)?;
+    #[cfg(feature = "float")]
+    {
+        let policy = crate::FloatPolicy::load(&image)?;
+        let mut memory = vec![0; policy.spec().scratch_words];
+        policy.self_test(&mut Scratch::new(&mut memory)).map_err(EncodeError::SelfTest)?;
+    }
     Ok(bytes)
 }
 

@@ -154,3 +154,76 @@ pub fn linear_layer(stream: &[u8], cols: u16, x: &[u32], out: &mut [u32]) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{block_len, hidden_layer, linear_layer, modulated_layer, pack, sums};
+    use std::vec::Vec;
+
+    /// A block of one pair of columns (padded to 16): rows with weights (1, 2), (3, -4), (-5, 6), (127, -127), start
+    /// values 10, 20, 30, 40, multipliers that pass the sums on, offsets 0, 1, 2, 3.
+    fn block(constants: bool) -> Vec<u8> {
+        let lane = |a: i16, b: i16| a * 256 + b;
+        let mut bytes = Vec::new();
+        for start in [10 * 256 + 20, 20, 30 * 256 + 40, 40i32] {
+            bytes.extend(start.to_le_bytes());
+        }
+        for value in [lane(1, 3), lane(2, -4), lane(-5, 127), lane(6, -127)] {
+            bytes.extend(value.to_le_bytes());
+        }
+        bytes.resize(16 + 64, 0);
+        if constants {
+            for word in [1 << 24, 1 << 30, 1 << 24, 1 << 30, 0, 1, 2, 3i32] {
+                bytes.extend(word.to_le_bytes());
+            }
+        }
+        bytes
+    }
+
+    fn input(first: i16, second: i16) -> [u32; 8] {
+        let mut x = [0; 8];
+        x[0] = pack(i32::from(first), i32::from(second));
+        x
+    }
+
+    #[test]
+    fn a_block_can_be_checked_by_hand() {
+        let stream = block(true);
+        assert_eq!(stream.len(), block_len(2, false));
+        let mut out = [0u32; 4];
+        linear_layer(&stream, 2, &input(100, -7), &mut out);
+        // A0 = 10 + 100 - 14, B0 = 20 + 300 + 28, A1 = 30 - 500 - 42, B1 = 40 + 12700 + 889
+        // times 2^24 * 256 / 2^32 = 1 in `a` rows and 1/4 in `b` rows, plus the offset.
+        assert_eq!(out.map(u32::cast_signed), [96, 88, -510, 3410]);
+    }
+
+    #[test]
+    fn hidden_outputs_are_shifted_clamped_and_packed() {
+        let mut out = [0u32; 2];
+        hidden_layer(&block(true), 2, 8, &input(100, -7), &mut out);
+        assert_eq!(out, [6 | (5 << 16), 213 << 16]);
+    }
+
+    #[test]
+    fn a_modulated_layer_takes_its_constants_from_the_table() {
+        let stream = block(true);
+        let mut plain = [0u32; 2];
+        hidden_layer(&stream, 2, 10, &input(100, -7), &mut plain);
+        let mut modulated = [0u32; 2];
+        modulated_layer(&block(false), 2, 10, &stream[80..], &input(100, -7), &mut modulated);
+        assert_eq!(plain, modulated);
+    }
+
+    #[test]
+    fn sums_are_exact_when_the_raw_accumulator_wraps() {
+        // a = 127, b = -127 in 16 columns of the largest input.
+        let lane: i16 = 127 * 256 - 127;
+        let weights: Vec<u8> = (0..32).flat_map(|_| lane.to_le_bytes()).collect();
+        let (start_a, start_b) = (4_000_000i32, 2_000_000_000i32);
+        let raw = (256 * start_a).wrapping_add(start_b);
+        let [a, b, ..] = sums([raw, start_b, 0, 0], &weights, &[pack(2047, 2047); 8]);
+        assert_eq!(a, 256 * (start_a + 16 * 127 * 2047));
+        assert_eq!(b, start_b - 16 * 127 * 2047);
+        assert!(a.checked_add(b).is_none(), "256 A + B does not fit, so the raw accumulator wrapped");
+    }
+}

@@ -2,8 +2,9 @@
 #![allow(dead_code, reason = "every test binary uses a part of this module")]
 
 use gadm_runtime::ActionHead;
+pub use gadm_runtime::encode::Dense;
 use gadm_runtime::encode::{
-    ActionSlot, Dense, FloatDecoder, FloatModel, HeadEncoding, Interface, ObservationSlot, ProvenanceOwned, Snap,
+    ActionSlot, FloatDecoder, FloatModel, HeadEncoding, Interface, ObservationSlot, ProvenanceOwned, Snap,
 };
 
 /// SplitMix64 with a normal deviate on top.
@@ -145,6 +146,7 @@ pub fn observations(seed: u64, model: &FloatModel, count: usize) -> Vec<f32> {
 }
 
 /// The networks of the Hopper policy: 11-256-256-128-64, 11-256-256-64, 11-256-256-153.
+#[must_use]
 pub fn hopper(seed: u64) -> FloatModel {
     model(
         seed,
