@@ -21,7 +21,7 @@ impl<L: Link> Host<L> {
         Self { link, node, wants_run: false, seq: 0, beat_at_us: None, last: None }
     }
 
-    /// Asks the node to control, and goes on asking while it is in SAFE.
+    /// Asks the node to control, and goes on asking with every [`step`](Self::step) while it does not.
     ///
     /// # Errors
     /// Where the bus does not take the frame.
@@ -50,7 +50,7 @@ impl<L: Link> Host<L> {
             self.seq = self.seq.wrapping_add(1);
             self.beat_at_us = Some(now_us);
         }
-        if self.wants_run && self.state() == Some(State::Safe) {
+        if self.wants_run && matches!(self.state(), Some(State::Ready | State::Safe)) {
             self.mode(ModeCommand::Run)?;
         }
         Ok(())

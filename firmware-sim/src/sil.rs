@@ -25,6 +25,9 @@ use crate::{SimError, episode_seed, interface};
 /// Bus load above which a run warns, per cent.
 const LOAD_WARNING: f64 = 70.0;
 
+/// How often the host asks a node that is READY to run; more than once only where the bus loses frames.
+const RUN_REQUESTS: u32 = 10;
+
 /// What to run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunOptions {
@@ -238,10 +241,15 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
         };
         self.plant.reset(seed);
         self.bus.set_time(self.plant.now_us());
-        self.sent("host", |s| s.host.run())?;
-        self.settle()?;
-        if episode == 0 || self.host.state() != Some(State::Safe) {
-            self.expect(State::Run)?;
+        for _ in 0..RUN_REQUESTS {
+            self.sent("host", |s| s.host.run())?;
+            self.settle()?;
+            if self.host.state() != Some(State::Ready) {
+                break;
+            }
+        }
+        if self.host.state() != Some(State::Safe) {
+            self.expect(State::Run)?; // from SAFE the node needs good sets first; the host goes on asking
         }
         while !(e.terminated || e.truncated) {
             let now_us = self.plant.now_us();

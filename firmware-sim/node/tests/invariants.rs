@@ -37,7 +37,12 @@ enum Op {
     Mode(ModeCommand),
     Estop,
     HostBeat,
-    Any { id: u32, long: bool, fd: bool, data: Vec<u8> },
+    Any {
+        id: u32,
+        long: bool,
+        fd: bool,
+        data: Vec<u8>,
+    },
     BusOff,
     BusOn,
 }
@@ -206,9 +211,18 @@ fn check(profile: Profile, time: TimeSource, ops: &[Op]) -> Result<(), TestCaseE
             prop_assert!(counted == sets || (off && counted >= sets), "{counted} counted, {sets} seen");
             sets = counted;
             for (a, b) in [
-                (c.acted, b.acted), (c.held, b.held), (c.safe, b.safe), (c.missed, b.missed), (c.late, b.late),
-                (c.torn, b.torn), (c.sequence, b.sequence), (c.crc_errors, b.crc_errors), (c.invalid, b.invalid),
-                (c.safe_entries, b.safe_entries), (c.refused, b.refused), (c.bus_errors, b.bus_errors),
+                (c.acted, b.acted),
+                (c.held, b.held),
+                (c.safe, b.safe),
+                (c.missed, b.missed),
+                (c.late, b.late),
+                (c.torn, b.torn),
+                (c.sequence, b.sequence),
+                (c.crc_errors, b.crc_errors),
+                (c.invalid, b.invalid),
+                (c.safe_entries, b.safe_entries),
+                (c.refused, b.refused),
+                (c.bus_errors, b.bus_errors),
             ] {
                 prop_assert!(a >= b, "a counter went back: {c:?} after {b:?}");
             }

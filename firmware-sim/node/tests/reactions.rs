@@ -496,7 +496,10 @@ fn requests_are_answered_in_order_and_unknown_ones_refused() {
     rig.push(Request { node: 1, op: 77, page: 0, tag: 10 }.frame());
     let _ = rig.node.poll(rig.now);
     let replies: Vec<Reply> = rig.wire.borrow().tx.iter().filter_map(Reply::parse).collect();
-    assert_eq!(replies.iter().map(|r| (r.op, r.tag)).collect::<Vec<_>>(), [(OP_READ, 7), (OP_REFUSED, 9), (OP_REFUSED, 10)]);
+    assert_eq!(
+        replies.iter().map(|r| (r.op, r.tag)).collect::<Vec<_>>(),
+        [(OP_READ, 7), (OP_REFUSED, 9), (OP_REFUSED, 10)]
+    );
     assert_eq!(replies[2].value, 77);
 }
 

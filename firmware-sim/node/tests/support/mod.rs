@@ -36,9 +36,8 @@ pub fn policy_bytes(period_us: u32) -> Vec<u8> {
     for k in 0..latents {
         weight[k * obs + k] = 1.0;
     }
-    let observations = (0..obs)
-        .map(|i| ObservationSlot { name: format!("s{i}"), unit: "rad".into(), lo: -1.0, hi: 1.0 })
-        .collect();
+    let observations =
+        (0..obs).map(|i| ObservationSlot { name: format!("s{i}"), unit: "rad".into(), lo: -1.0, hi: 1.0 }).collect();
     let actions = HEADS
         .iter()
         .zip(SAFE)
@@ -63,7 +62,8 @@ pub fn policy_bytes(period_us: u32) -> Vec<u8> {
         heads: vec![],
         provenance: ProvenanceOwned::default(),
     };
-    let corners: Vec<f32> = (0..32).flat_map(|i| (0..obs).map(move |b| if i >> b & 1 == 1 { 1.0 } else { -1.0 })).collect();
+    let corners: Vec<f32> =
+        (0..32).flat_map(|i| (0..obs).map(move |b| if i >> b & 1 == 1 { 1.0 } else { -1.0 })).collect();
     let q = quantise(&model, &corners, &QuantiseOptions::default()).unwrap();
     write_int8(&q, &corners[..obs * 4], &FileOptions::default()).unwrap()
 }
