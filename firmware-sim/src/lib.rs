@@ -23,6 +23,8 @@
 //! | [`decode`] | frames as named signals |
 //! | [`result`] | what a run found out |
 
+#![cfg_attr(test, allow(clippy::unwrap_used, reason = "a test may fail loudly"))]
+
 pub mod bus;
 pub mod decode;
 mod error;

@@ -203,7 +203,7 @@ impl RunResult {
             // Writing to a String cannot fail.
             let _ = writeln!(text, "  {name:<18} {value}");
         };
-        row("plant", format!("{}, {} on node in {}", self.plant, self.profile, self.target));
+        row("plant", format!("{}, profile {}, node {}", self.plant, self.profile, self.target));
         row("return", format!("{:.2} ± {:.2}  (min {:.2}, max {:.2}, n {})", r.mean, r.sd, r.min, r.max, r.n));
         row("steps", format!("{} = {:.2} s of virtual time", self.steps, self.virtual_s));
         row("latents used", format!("{} of {}", self.latents_used, self.policy.num_latents));

@@ -73,7 +73,7 @@ pub struct Progress {
     pub mean_return: f64,
 }
 
-/// Reads a file of at most 256 MiB into memory aligned as the runtime wants it.
+/// Reads a policy file into memory aligned as the runtime wants it.
 ///
 /// # Errors
 /// [`SimError::Read`].

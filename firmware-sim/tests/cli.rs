@@ -84,6 +84,23 @@ fn errors_say_what_where_and_what_to_do() {
 }
 
 #[test]
+fn damaged_policies_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let good = std::fs::read(policy_file(dir.path(), "moving")).unwrap();
+    let mut wrong_bit = good.clone();
+    wrong_bit[good.len() / 2] ^= 4;
+    let mut newer = good.clone();
+    newer[8] = 99;
+    for (name, bytes) in [("wrong bit", &wrong_bit[..]), ("newer", &newer), ("cut", &good[..100]), ("empty", &[])] {
+        let path = dir.path().join("bad.bin");
+        std::fs::write(&path, bytes).unwrap();
+        let out = sim(&["run", path.to_str().unwrap(), "--episodes", "1"]);
+        assert_eq!(out.status.code(), Some(1), "{name}: {}", stderr(&out));
+        assert!(stderr(&out).starts_with("error: not a policy that can be run: "), "{name}: {}", stderr(&out));
+    }
+}
+
+#[test]
 fn a_full_disk_is_an_error() {
     if !Path::new("/dev/full").exists() {
         say("not run: a_full_disk_is_an_error (this system has no /dev/full)");
@@ -189,7 +206,7 @@ fn python_can_reads_the_traces() {
                 let record = gadm_sim::bus::trace::parse_line(line).unwrap();
                 let frame = record.frame.unwrap();
                 let is_fd = matches!(frame.kind(), gadm_node::frame::Kind::Fd { .. });
-                let hex: String = frame.payload().iter().map(|b| format!("{b:02X}")).collect();
+                let hex = frame.payload().iter().map(|b| format!("{b:02X}")).collect::<Vec<_>>().concat();
                 let (id, n) = (frame.raw_id(), u8::from(is_fd));
                 format!("{} {id:X} 0 {n} {n} {hex}", record.time_us)
             })

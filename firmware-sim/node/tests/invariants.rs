@@ -174,7 +174,7 @@ fn check(profile: Profile, time: TimeSource, ops: &[Op]) -> Result<(), TestCaseE
         let now = rig.status;
         prop_assert!(reachable(before.state, now.state), "{:?} to {:?} by {op:?}", before.state, now.state);
         let reset = matches!(op, Op::Mode(ModeCommand::Reset)) || before.state == State::Boot;
-        for act in rig.acts[seen_acts..].iter() {
+        for act in &rig.acts[seen_acts..] {
             for (&v, head) in act.values.iter().zip(HEADS) {
                 prop_assert!(legal(v, head), "{v} is not legal for {head:?}");
             }

@@ -87,7 +87,7 @@ pub fn load(layout: &Layout, period_us: u32, rate: BitRate) -> Load {
         full + if rest > 0 { rate.frame_ns(kind, false, layout.payload_len(rest)) } else { 0 }
     };
     let classic8 = rate.frame_ns(Kind::Classic, false, 8);
-    let decision = if layout.profile() == Profile::ClassicI16 { 1 } else { 0 };
+    let decision = usize::from(layout.profile() == Profile::ClassicI16);
     let sets_ns = set_ns(layout.obs_dim()) + set_ns(layout.action_dim());
     let period_ns = f64::from(period_us) * 1e3;
     let heartbeats_percent = (classic8 + rate.frame_ns(Kind::Classic, false, 1)) as f64 / 1e8 * 100.0;

@@ -160,7 +160,7 @@ mod tests {
         let bus = Loopback::new(BitRate::default(), Some(Box::new(Full)));
         let (mut a, _b) = (bus.port(), bus.port());
         let frame = Frame::classic(standard(1), &[]).unwrap();
-        let sent = (0..QUEUE + 1).filter(|_| a.send(&frame).is_ok()).count();
+        let sent = (0..=QUEUE).filter(|_| a.send(&frame).is_ok()).count();
         assert_eq!(sent, QUEUE);
         assert_eq!(a.send(&frame), Err(LinkError::Full));
         assert_eq!(bus.check().unwrap_err().kind(), io::ErrorKind::StorageFull);

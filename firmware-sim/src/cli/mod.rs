@@ -15,7 +15,7 @@ const CRITERIA_MISSED: u8 = 3;
 const EXIT_CODES: &str = "Exit codes: 0 ok, 1 error, 2 usage, 3 criteria missed, 4 something is missing here.";
 
 #[derive(Parser)]
-#[command(name = "gadm-sim", version, about, max_term_width = 80, after_help = EXIT_CODES)]
+#[command(name = "gadm-sim", version, max_term_width = 80, after_help = EXIT_CODES)]
 /// Runs a policy on a simulated plant over a CAN bus, and reads traces
 struct Cli {
     #[command(subcommand)]

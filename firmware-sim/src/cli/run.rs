@@ -14,7 +14,7 @@ use super::{CRITERIA_MISSED, say};
 const EXAMPLES: &str = "\
 Examples:
   gadm-sim run models/inverted-pendulum-v5/policy.bin --episodes 5
-  gadm-sim run policy.bin --plant hopper-v5 --profile classic-i16 --trace hop.log
+  gadm-sim run policy.bin --profile classic-i16 --trace hop.log
   gadm-sim run policy.bin --episodes 100 --min-return 950 --json > result.json
 
 The same seed gives the same trace, byte for byte. In fd-f32 the returns are

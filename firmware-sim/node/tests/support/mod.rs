@@ -1,5 +1,11 @@
 //! A small policy and a node on a test bus.
-#![allow(dead_code, unreachable_pub, clippy::unwrap_used, reason = "shared by several test binaries, each uses a part")]
+#![allow(
+    dead_code,
+    unreachable_pub,
+    clippy::unwrap_used,
+    clippy::unused_self,
+    reason = "shared by several test binaries, each uses a part"
+)]
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
