@@ -290,8 +290,8 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
     fn settle(&mut self) -> Result<(), SimError> {
         self.target.settle(self.plant.now_us())?;
         self.sent("host", |s| s.host.listen())?;
-        let path = self.options.trace.clone().unwrap_or_default();
-        self.bus.check().map_err(|source| SimError::Write { path, source })
+        let failed = |source| SimError::Write { path: self.options.trace.clone().unwrap_or_default(), source };
+        self.bus.check().map_err(failed)
     }
 
     fn sent<R>(

@@ -141,8 +141,31 @@ fn trace_decodes_what_run_wrote() {
         assert!(lines.iter().all(|l| l["error"].is_null() && l["name"] != "UNKNOWN"));
         let ticks = lines.iter().filter(|l| l["name"] == "TICK").count() as u64;
         assert_eq!(ticks, run["steps"].as_u64().unwrap());
+        if profile == "fd-f32" {
+            assert_actions_are_exact(&lines, &policy, id);
+        }
         let out = sim(&["trace", log, "--policy", &policy]);
         assert_eq!(String::from_utf8(out.stdout).unwrap().lines().count(), lines.len());
+    }
+}
+
+/// The decimals that `trace --json` prints read back to the very f32 that the policy computes.
+fn assert_actions_are_exact(lines: &[Value], policy: &str, id: &str) {
+    let image = gadm_runtime::encode::AlignedImage::new(&std::fs::read(policy).unwrap());
+    let mut env = gadm_envs::make(id).unwrap();
+    let mut steps = Vec::new();
+    for episode in 0..2 {
+        steps.extend(direct(&image, &mut *env, 0, episode).1);
+    }
+    let is_safe = |l: &Value| l["signals"]["flags"].as_array().unwrap().iter().any(|f| f == "safe");
+    let acts: Vec<&Value> = lines.iter().filter(|l| l["name"] == "ACT" && !is_safe(l)).collect();
+    assert_eq!(acts.len(), steps.len());
+    for (line, step) in acts.iter().zip(&steps) {
+        assert_eq!(line["signals"]["latent"].as_u64(), Some(u64::from(step.latent)));
+        for (signal, value) in env.spec().actions.iter().zip(&step.action) {
+            let printed: f32 = line["signals"][&signal.name].to_string().parse().unwrap();
+            assert_eq!(printed.to_bits(), value.to_bits(), "{line}");
+        }
     }
 }
 
