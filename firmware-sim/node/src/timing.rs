@@ -68,7 +68,7 @@ impl PeriodMonitor {
     }
 
     fn permille(&self, us: u64) -> u32 {
-        u32::try_from(us.saturating_mul(1000) / self.period_us).unwrap_or(u32::MAX)
+        u32::try_from(us.saturating_mul(1000) / self.period_us.max(1)).unwrap_or(u32::MAX)
     }
 
     /// One period was off by more than the limit: at once, and until a window of 64 periods without one.
