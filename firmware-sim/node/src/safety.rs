@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! BOOT ─► SELFTEST ─► READY ◄─► RUN ─► SAFE ─► RUN | FAULT
-//!              └────► NO_POLICY            (RESET leads from every state to BOOT)
+//!              └────► NO_POLICY            (RESET leads back to BOOT from all but the first two)
 //! ```
 
 /// Control periods without a good observation set after which the node goes to [`State::Safe`].
