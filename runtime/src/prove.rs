@@ -95,13 +95,45 @@ struct Sums {
     negative: i64,
 }
 
-impl Sums {
-    fn add(&mut self, weight: i64) {
-        if weight > 0 {
-            self.positive = self.positive.saturating_add(weight);
-        } else {
-            self.negative = self.negative.saturating_sub(weight);
-        }
+/// Weights of one row so far; at most 1024 of magnitude 128, so 32 bits hold every sum.
+#[derive(Clone, Copy, Default)]
+struct Tally {
+    sum: i32,
+    magnitude: i32,
+}
+
+impl Tally {
+    #[inline(always)]
+    fn add(&mut self, weight: i32) {
+        self.sum = self.sum.wrapping_add(weight);
+        self.magnitude = self.magnitude.wrapping_add(weight.wrapping_abs());
+    }
+
+    fn sums(self) -> Sums {
+        let (sum, magnitude) = (i64::from(self.sum), i64::from(self.magnitude));
+        Sums { positive: magnitude.saturating_add(sum) / 2, negative: magnitude.saturating_sub(sum) / 2 }
+    }
+}
+
+/// The two rows of a pair.
+#[derive(Clone, Copy, Default)]
+struct PairTally {
+    a: Tally,
+    b: Tally,
+    /// A weight was outside of -127..=127.
+    outside: bool,
+}
+
+impl PairTally {
+    #[inline(always)]
+    fn add(&mut self, lane: i16) {
+        // The low byte is the `b` weight, sign-extended; what is left is 256 times the `a` weight.
+        let [low, _] = lane.to_le_bytes();
+        let low = i32::from(low.cast_signed());
+        let high = i32::from(lane).wrapping_sub(low) >> 8;
+        self.outside |= low == -128 || high.wrapping_abs() == 128;
+        self.a.add(high);
+        self.b.add(low);
     }
 }
 
@@ -141,34 +173,34 @@ impl Proof<'_> {
 
     /// Weights in range, padding zero; sums of the four rows.
     fn weights(&self, first_row: u16, weights: &[u8]) -> Result<[Sums; 4], LoadError> {
-        let mut sums = [Sums::default(); 4];
-        let [row0, row1, row2, row3] = &mut sums;
-        for (pair_of_columns, words) in (0u16..).zip(weights.as_chunks::<8>().0) {
-            let column = pair_of_columns.saturating_mul(2);
-            let &[a, b, c, d, e, f, g, h] = words;
-            let lanes = [([a, b], 0), ([c, d], 1), ([e, f], 0), ([g, h], 1)];
-            for (pair, (lane, odd)) in [0u16, 0, 1, 1].into_iter().zip(lanes) {
-                let lane = i64::from(i16::from_le_bytes(lane));
-                // The low byte is the `b` weight, sign-extended; what is left is 256 times the `a` weight.
-                let low = lane.saturating_add(128).rem_euclid(256).saturating_sub(128);
-                let high = lane.saturating_sub(low).div_euclid(256);
-                let row = first_row.saturating_add(pair.saturating_mul(2));
-                if !(-127..=127).contains(&low) || !(-127..=127).contains(&high) {
-                    return Err(LoadError::Weight { section: self.section, layer: self.index, row });
-                }
-                let padded_column = column.saturating_add(odd) >= self.layer.cols;
-                if (high != 0 && (padded_column || row >= self.layer.rows))
-                    || (low != 0 && (padded_column || row.saturating_add(1) >= self.layer.rows))
-                {
-                    return Err(self.padding(row));
-                }
-                if pair == 0 {
-                    row0.add(high);
-                    row1.add(low);
-                } else {
-                    row2.add(high);
-                    row3.add(low);
-                }
+        let mut pairs = [PairTally::default(); 2];
+        let [pair0, pair1] = &mut pairs;
+        let used_words = usize::from(self.layer.cols).div_ceil(2);
+        let words = weights.as_chunks::<8>().0;
+        for &[a, b, c, d, e, f, g, h] in words.iter().take(used_words) {
+            pair0.add(i16::from_le_bytes([a, b]));
+            pair0.add(i16::from_le_bytes([c, d]));
+            pair1.add(i16::from_le_bytes([e, f]));
+            pair1.add(i16::from_le_bytes([g, h]));
+        }
+        // An odd number of columns leaves the second lane of the last words unused.
+        let odd_lanes = match words.get(used_words.saturating_sub(1)) {
+            Some(&[_, _, c, d, _, _, g, h]) if self.layer.cols % 2 == 1 => [c, d, g, h],
+            _ => [0; 4],
+        };
+        if odd_lanes != [0; 4] || words.iter().skip(used_words).any(|word| *word != [0; 8]) {
+            return Err(self.padding(first_row));
+        }
+        let second = first_row.saturating_add(2);
+        for (pair, row) in [(*pair0, first_row), (*pair1, second)] {
+            if pair.outside {
+                return Err(LoadError::Weight { section: self.section, layer: self.index, row });
+            }
+        }
+        let sums = [pair0.a.sums(), pair0.b.sums(), pair1.a.sums(), pair1.b.sums()];
+        for (sums, row) in sums.iter().zip(first_row..first_row.saturating_add(4)) {
+            if row >= self.layer.rows && (sums.positive != 0 || sums.negative != 0) {
+                return Err(self.padding(row));
             }
         }
         Ok(sums)
