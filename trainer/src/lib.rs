@@ -1,1 +1,18 @@
-//! Placeholder of `gadm-trainer`; replaced by its first commit.
+//! Learns GADM action discretisations and DQN policies, and exports them for microcontrollers.
+
+pub mod action_space;
+pub mod algo;
+pub mod atomic;
+pub mod card;
+pub mod config;
+pub mod discretizer;
+pub mod error;
+pub mod metrics;
+pub mod nn;
+pub mod plot;
+pub mod replay;
+pub mod report;
+pub mod runner;
+pub mod seed;
+
+pub use error::TrainError;

@@ -26,6 +26,7 @@ mod hybrid;
 mod mujoco;
 mod registry;
 mod sampling;
+mod seed;
 mod task;
 mod vec_env;
 mod wrappers;
@@ -36,5 +37,6 @@ pub use error::EnvError;
 #[cfg(feature = "mujoco")]
 pub use mujoco::plant::warning_count as mujoco_warning_count;
 pub use registry::{EnvOptions, ids, make, make_with};
+pub use seed::episode_seed;
 pub use vec_env::{EpisodeEnd, SlotState, StepBatch, VecEnv, VecEnvState, reset_seed};
 pub use wrappers::{ExtraDims, TimeLimit};

@@ -253,6 +253,11 @@ impl VecEnv {
         &self.batch.obs
     }
 
+    /// What the last step gave; before the first one, its `obs` are the first observations and the rest is zero.
+    pub fn last(&self) -> &StepBatch {
+        &self.batch
+    }
+
     /// Abandons the running episodes and starts the next one in each environment.
     ///
     /// # Errors

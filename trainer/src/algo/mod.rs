@@ -1,0 +1,3 @@
+//! Learners on latent actions.
+
+pub mod dqn;

@@ -1,0 +1,3 @@
+//! Learned action discretisations.
+
+pub mod gadm;

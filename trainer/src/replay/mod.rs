@@ -1,0 +1,7 @@
+//! Transitions: n-step assembly and the two replay buffers.
+
+mod nstep;
+mod ring;
+
+pub use nstep::{NStep, Transition};
+pub use ring::{ActionBuffer, RL_COLUMNS, RlBatch, RlBuffer};

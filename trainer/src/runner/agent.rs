@@ -1,0 +1,101 @@
+//! The learner as a whole: action model, confidence predictor and Q-network, and how they choose an action.
+
+use crate::action_space::ActionSpace;
+use crate::algo::dqn::{Dqn, masked_argmax};
+use crate::config::TrainConfig;
+use crate::discretizer::gadm::{ActionModel, Confidence};
+use crate::error::TrainError;
+use crate::seed::SeedTree;
+use gadm_envs::EnvSpec;
+
+/// Rows a single call of the networks may have outside training; larger sets go in chunks.
+pub const MAX_ROWS: usize = 512;
+
+/// GADM + DQN.
+pub struct Agent {
+    /// Encoder, code table, decoder.
+    pub model: ActionModel,
+    /// Confidence predictor, where masking is on.
+    pub confidence: Option<Confidence>,
+    /// Q-network.
+    pub dqn: Dqn,
+    /// Updates of the confidence predictor so far; decides when masking starts.
+    pub confidence_updates: u64,
+    obs_dim: usize,
+    scores: Vec<f32>,
+    allowed: Vec<bool>,
+    /// Rows since the last reading that fell back, rows in all, latents allowed in all.
+    pub mask_statistics: (u64, u64, u64),
+}
+
+impl Agent {
+    /// A fresh agent for an environment.
+    ///
+    /// # Errors
+    /// [`TrainError::Config`] for impossible settings.
+    pub fn new(config: &TrainConfig, spec: &EnvSpec) -> Result<Self, TrainError> {
+        let seeds = SeedTree::new(config.seed);
+        let space = ActionSpace::new(spec, config.action_model.head, config.action_model.argument_mask);
+        let (obs_dim, k, rows) = (spec.obs_dim(), config.action_model.latents, config.round.batch.max(MAX_ROWS));
+        let model = ActionModel::new(
+            config.action_model.clone(),
+            obs_dim,
+            space,
+            rows,
+            &mut seeds.stream("init.action-model"),
+        )?;
+        let confidence = config.confidence.enabled.then(|| {
+            Confidence::new(config.confidence.clone(), obs_dim, k, rows, &mut seeds.stream("init.confidence"))
+        });
+        let dqn = Dqn::new(config.dqn.clone(), obs_dim, k, rows, &mut seeds.stream("init.q"))?;
+        Ok(Self {
+            model,
+            confidence: confidence.transpose()?,
+            dqn,
+            confidence_updates: 0,
+            obs_dim,
+            scores: Vec::new(),
+            allowed: Vec::new(),
+            mask_statistics: (0, 0, 0),
+        })
+    }
+
+    /// True once the confidence predictor masks latents.
+    pub fn masking(&self) -> bool {
+        self.confidence.as_ref().is_some_and(|c| self.confidence_updates >= c.config().start_after)
+    }
+
+    /// Masks of `batch` observations, `B x K`; empty while masking is off.
+    pub fn masks(&mut self, obs: &[f32], batch: usize) -> &[bool] {
+        self.allowed.clear();
+        if self.masking()
+            && let Some(confidence) = &mut self.confidence
+        {
+            let fallbacks = confidence.masks(obs, batch, &mut self.scores, &mut self.allowed);
+            self.mask_statistics.0 += fallbacks as u64;
+            self.mask_statistics.1 += batch as u64;
+            self.mask_statistics.2 += self.allowed.iter().filter(|a| **a).count() as u64;
+        }
+        &self.allowed
+    }
+
+    /// Greedy latents of `batch` observations.
+    pub fn greedy(&mut self, obs: &[f32], batch: usize, codes: &mut Vec<u32>) {
+        let k = self.model.num_latents();
+        codes.clear();
+        let mut done = 0;
+        while done < batch {
+            let rows = (batch - done).min(MAX_ROWS);
+            let part = &obs[done * self.obs_dim..(done + rows) * self.obs_dim];
+            self.masks(part, rows);
+            let allowed = std::mem::take(&mut self.allowed);
+            let scores = self.dqn.advantages(part, rows);
+            codes.extend(scores.chunks_exact(k).enumerate().map(|(b, row)| {
+                let allowed = if allowed.is_empty() { &allowed[..] } else { &allowed[b * k..(b + 1) * k] };
+                masked_argmax(row, allowed) as u32
+            }));
+            self.allowed = allowed;
+            done += rows;
+        }
+    }
+}

@@ -1,0 +1,375 @@
+//! Checkpoints: one safetensors file with every array of a run, and the rest of its state as JSON in the header.
+//!
+//! A file is written beside the old one and renamed, so that a full disk or a kill leaves the old one. `last.safetensors` holds
+//! everything a run needs to go on as if never stopped; `best.safetensors` holds the networks of the best evaluation and a
+//! sample of observations for the export's calibration.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
+
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+
+use super::agent::Agent;
+use super::run::{Counters, Run, Streams, Window};
+use crate::atomic;
+use crate::config::TrainConfig;
+use crate::error::TrainError;
+use crate::nn::{Adam, Params};
+use crate::replay::{NStep, RL_COLUMNS};
+use gadm_envs::VecEnvState;
+
+/// Folder of the checkpoints in a run folder.
+pub const FOLDER: &str = "checkpoints";
+/// File of the newest whole state.
+pub const LAST: &str = "last.safetensors";
+/// File of the networks with the best evaluation.
+pub const BEST: &str = "best.safetensors";
+/// Version of the layout below.
+const VERSION: u32 = 1;
+/// Observations stored for the export's calibration, at most.
+const CALIBRATION_ROWS: usize = 8192;
+
+/// Named arrays with their shapes.
+#[derive(Default)]
+struct Arrays(BTreeMap<String, (Vec<usize>, Vec<f32>)>);
+
+impl Arrays {
+    fn put(&mut self, name: impl Into<String>, shape: Vec<usize>, values: Vec<f32>) {
+        self.0.insert(name.into(), (shape, values));
+    }
+
+    fn flat(&mut self, name: impl Into<String>, values: &[f32]) {
+        self.put(name, vec![values.len()], values.to_vec());
+    }
+
+    fn params(&mut self, prefix: &str, params: &Params) {
+        for (name, (shape, values)) in params.export() {
+            self.put(format!("{prefix}/{name}"), shape, values);
+        }
+    }
+
+    fn adam(&mut self, prefix: &str, adam: &Adam) {
+        self.flat(format!("{prefix}/adam.m"), &adam.m);
+        self.flat(format!("{prefix}/adam.v"), &adam.v);
+    }
+
+    fn take(&mut self, name: &str) -> Result<Vec<f32>, String> {
+        self.0.remove(name).map(|(_, v)| v).ok_or_else(|| format!("`{name}` is missing"))
+    }
+
+    fn load_params(&mut self, prefix: &str, params: &mut Params) -> Result<(), String> {
+        let start = format!("{prefix}/");
+        let own = self.0.iter().filter_map(|(k, v)| Some((k.strip_prefix(&start)?.to_owned(), v.clone()))).collect();
+        params.import(&own).map_err(|e| format!("{prefix}: {e}"))
+    }
+
+    fn load_adam(&mut self, prefix: &str, adam: &mut Adam, steps: u64) -> Result<(), String> {
+        for (name, to) in [("m", &mut adam.m), ("v", &mut adam.v)] {
+            let values = self.take(&format!("{prefix}/adam.{name}"))?;
+            if values.len() != to.len() {
+                return Err(format!("`{prefix}/adam.{name}` has {} numbers, expected {}", values.len(), to.len()));
+            }
+            *to = values;
+        }
+        adam.steps = steps;
+        Ok(())
+    }
+
+    fn networks(&mut self, agent: &Agent) {
+        self.params("action-model", &agent.model.params);
+        self.params("q", &agent.dqn.params);
+        if let Some(confidence) = &agent.confidence {
+            self.params("confidence", &confidence.params);
+        }
+    }
+
+    fn load_networks(&mut self, agent: &mut Agent) -> Result<(), String> {
+        self.load_params("action-model", &mut agent.model.params)?;
+        self.load_params("q", &mut agent.dqn.params)?;
+        if let Some(confidence) = &mut agent.confidence {
+            self.load_params("confidence", &mut confidence.params)?;
+        }
+        agent.dqn.invalidate();
+        Ok(())
+    }
+
+    /// Serialises with `state` in the header.
+    fn to_bytes(&self, state: String) -> Result<Vec<u8>, String> {
+        let bytes: BTreeMap<&String, Vec<u8>> =
+            self.0.iter().map(|(k, (_, v))| (k, v.iter().flat_map(|x| x.to_le_bytes()).collect())).collect();
+        let views: Result<Vec<_>, _> = self
+            .0
+            .iter()
+            .map(|(k, (shape, _))| TensorView::new(Dtype::F32, shape.clone(), &bytes[k]).map(|view| (k.clone(), view)))
+            .collect();
+        let header = HashMap::from([("gadm".to_owned(), state)]);
+        safetensors::serialize(views.map_err(|e| e.to_string())?, Some(header)).map_err(|e| e.to_string())
+    }
+
+    fn from_bytes(bytes: &[u8]) -> Result<(Self, String), String> {
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| format!("not a safetensors file ({e})"))?;
+        let state =
+            header.metadata().as_ref().and_then(|m| m.get("gadm")).cloned().ok_or("its header has no run state")?;
+        Ok((Self::read(bytes)?, state))
+    }
+
+    fn read(bytes: &[u8]) -> Result<Self, String> {
+        let tensors = SafeTensors::deserialize(bytes).map_err(|e| format!("not a safetensors file ({e})"))?;
+        let mut arrays = Self::default();
+        for (name, view) in tensors.tensors() {
+            if view.dtype() != Dtype::F32 {
+                return Err(format!("`{name}` is {:?}, expected F32", view.dtype()));
+            }
+            let chunks = view.data().chunks_exact(4);
+            let values = chunks.map(|c| f32::from_le_bytes([c[0], c[1], c[2], c[3]])).collect();
+            arrays.put(name, view.shape().to_vec(), values);
+        }
+        Ok(arrays)
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+struct RunState {
+    version: u32,
+    config: TrainConfig,
+    counters: Counters,
+    streams: Streams,
+    window: Window,
+    mask_statistics: (u64, u64, u64),
+    envs: VecEnvState,
+    nsteps: Vec<NStep>,
+    adam_steps: [u64; 3],
+    ar_next: usize,
+    rl_next: usize,
+    calibration_rows: usize,
+}
+
+#[derive(Serialize, Deserialize)]
+struct BestState {
+    version: u32,
+    config: TrainConfig,
+    counters: Counters,
+}
+
+/// Path of a checkpoint in a run folder.
+pub fn path(dir: &Path, name: &str) -> PathBuf {
+    dir.join(FOLDER).join(name)
+}
+
+fn bad(path: &Path) -> impl Fn(String) -> TrainError {
+    let path = path.to_path_buf();
+    move |reason| TrainError::Checkpoint { path: path.clone(), reason }
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
+    atomic::write(path, bytes).map_err(|e| bad(path)(e.to_string()))
+}
+
+/// Writes the whole state of a run, atomically.
+///
+/// # Errors
+/// [`TrainError::Checkpoint`] with the cause; the old file is then untouched.
+pub fn save(run: &Run, dir: &Path) -> Result<(), TrainError> {
+    let mut arrays = Arrays::default();
+    let agent = &run.agent;
+    arrays.networks(agent);
+    arrays.params("target", &agent.dqn.target);
+    arrays.adam("action-model", &agent.model.adam);
+    arrays.adam("q", &agent.dqn.adam);
+    if let Some(confidence) = &agent.confidence {
+        arrays.adam("confidence", &confidence.adam);
+    }
+    let (ar_next, obs, actions) = run.d_ar.arrays();
+    arrays.flat("d_ar/obs", obs);
+    arrays.flat("d_ar/actions", actions);
+    let (rl_next, columns) = run.d_rl.arrays();
+    for (name, values) in RL_COLUMNS.iter().zip(columns) {
+        arrays.flat(format!("d_rl/{name}"), values);
+    }
+    let state = RunState {
+        version: VERSION,
+        config: run.config.clone(),
+        counters: run.counters.clone(),
+        streams: run.streams.clone(),
+        window: run.window.clone(),
+        mask_statistics: agent.mask_statistics,
+        envs: run.envs.save(),
+        nsteps: run.nsteps.clone(),
+        adam_steps: [
+            agent.model.adam.steps,
+            agent.dqn.adam.steps,
+            agent.confidence.as_ref().map_or(0, |c| c.adam.steps),
+        ],
+        ar_next,
+        rl_next,
+        calibration_rows: CALIBRATION_ROWS,
+    };
+    let file = path(dir, LAST);
+    let state = serde_json::to_string(&state).map_err(|e| bad(&file)(e.to_string()))?;
+    write(&file, &arrays.to_bytes(state).map_err(bad(&file))?)
+}
+
+/// Continues a run from its folder.
+///
+/// # Errors
+/// [`TrainError::NothingToResume`] without a checkpoint, [`TrainError::Checkpoint`] for a damaged or foreign one.
+pub fn load(dir: &Path) -> Result<Run, TrainError> {
+    let file = path(dir, LAST);
+    if !file.exists() {
+        return Err(TrainError::NothingToResume { path: dir.to_path_buf() });
+    }
+    let bytes = std::fs::read(&file).map_err(TrainError::io("read", &file))?;
+    let bad = bad(&file);
+    let (mut arrays, state) = Arrays::from_bytes(&bytes).map_err(&bad)?;
+    let state: RunState = parse(&state).map_err(&bad)?;
+    let mut run = Run::new(state.config)?;
+    run.counters = state.counters;
+    run.streams = state.streams;
+    run.window = state.window;
+    run.nsteps = state.nsteps;
+    run.envs.restore(&state.envs)?;
+    let agent = &mut run.agent;
+    agent.confidence_updates = run.counters.confidence_updates;
+    agent.mask_statistics = state.mask_statistics;
+    arrays.load_networks(agent).map_err(&bad)?;
+    arrays.load_params("target", &mut agent.dqn.target).map_err(&bad)?;
+    arrays.load_adam("action-model", &mut agent.model.adam, state.adam_steps[0]).map_err(&bad)?;
+    arrays.load_adam("q", &mut agent.dqn.adam, state.adam_steps[1]).map_err(&bad)?;
+    if let Some(confidence) = &mut agent.confidence {
+        arrays.load_adam("confidence", &mut confidence.adam, state.adam_steps[2]).map_err(&bad)?;
+    }
+    let obs = arrays.take("d_ar/obs").map_err(&bad)?;
+    let actions = arrays.take("d_ar/actions").map_err(&bad)?;
+    let mut columns: [Vec<f32>; 6] = Default::default();
+    for (name, column) in RL_COLUMNS.iter().zip(&mut columns) {
+        *column = arrays.take(&format!("d_rl/{name}")).map_err(&bad)?;
+    }
+    if !run.d_ar.restore(state.ar_next, obs, actions) || !run.d_rl.restore(state.rl_next, columns) {
+        return Err(bad("the replay arrays do not fit this configuration".to_owned()));
+    }
+    Ok(run)
+}
+
+fn parse<T: serde::de::DeserializeOwned>(state: &str) -> Result<T, String> {
+    #[derive(Deserialize)]
+    struct Version {
+        version: u32,
+    }
+    let found: Version = serde_json::from_str(state).map_err(|e| format!("its run state is damaged ({e})"))?;
+    if found.version != VERSION {
+        return Err(format!(
+            "it has layout version {}, this program reads {VERSION}: use the program that wrote it",
+            found.version
+        ));
+    }
+    serde_json::from_str(state).map_err(|e| format!("its run state is damaged ({e})"))
+}
+
+/// Writes the networks and calibration observations of the best evaluation, atomically.
+///
+/// # Errors
+/// As [`save`].
+pub fn save_best(run: &Run, dir: &Path) -> Result<(), TrainError> {
+    let mut arrays = Arrays::default();
+    arrays.networks(&run.agent);
+    arrays.flat("calibration/obs", &calibration(run));
+    let file = path(dir, BEST);
+    let state = BestState { version: VERSION, config: run.config.clone(), counters: run.counters.clone() };
+    let state = serde_json::to_string(&state).map_err(|e| bad(&file)(e.to_string()))?;
+    write(&file, &arrays.to_bytes(state).map_err(bad(&file))?)
+}
+
+/// Up to 8,192 observations, evenly spread over the newest half of D_RL (or D_AR before there is any).
+fn calibration(run: &Run) -> Vec<f32> {
+    let (_, columns) = run.d_rl.arrays();
+    let (_, pairs, _) = run.d_ar.arrays();
+    let obs = if columns[0].is_empty() { pairs } else { columns[0] };
+    let width = run.envs.spec().obs_dim();
+    let rows = obs.len() / width;
+    let newest = rows - rows / 2;
+    let take = newest.min(CALIBRATION_ROWS);
+    (0..take)
+        .flat_map(|i| {
+            let row = rows - newest + i * newest / take;
+            obs[row * width..(row + 1) * width].iter().copied()
+        })
+        .collect()
+}
+
+/// A trained agent with what the export needs.
+pub struct Trained {
+    /// Networks.
+    pub agent: Agent,
+    /// Settings of the run.
+    pub config: TrainConfig,
+    /// Counters when it was stored.
+    pub counters: Counters,
+    /// Observations for calibration, `N x obs_dim`.
+    pub calibration: Vec<f32>,
+}
+
+/// Loads the networks of a run: the best ones, or the last ones.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_trained(dir: &Path, best: bool) -> Result<Trained, TrainError> {
+    let file = path(dir, BEST);
+    if !best || !file.exists() {
+        let run = load(dir)?;
+        let calibration = calibration(&run);
+        return Ok(Trained { calibration, config: run.config, counters: run.counters, agent: run.agent });
+    }
+    let bytes = std::fs::read(&file).map_err(TrainError::io("read", &file))?;
+    let bad = bad(&file);
+    let (mut arrays, state) = Arrays::from_bytes(&bytes).map_err(&bad)?;
+    let state: BestState = parse(&state).map_err(&bad)?;
+    let spec = gadm_envs::make_with(&state.config.env, &state.config.env_options)?.spec().clone();
+    let mut agent = Agent::new(&state.config, &spec)?;
+    arrays.load_networks(&mut agent).map_err(&bad)?;
+    agent.confidence_updates = state.counters.confidence_updates;
+    let calibration = arrays.take("calibration/obs").map_err(&bad)?;
+    Ok(Trained { agent, config: state.config, counters: state.counters, calibration })
+}
+
+/// Saves the batch behind a loss that is not a number.
+///
+/// # Errors
+/// Where the file cannot be written.
+pub fn save_batch(path: &Path, what: &str, obs: &[f32], actions: &[f32]) -> Result<(), TrainError> {
+    let mut arrays = Arrays::default();
+    arrays.flat("obs", obs);
+    arrays.flat("actions", actions);
+    write(path, &arrays.to_bytes(what.to_owned()).map_err(bad(path))?)
+}
+
+/// Reads state-action pairs for the warm-up: `obs` (N x `obs_dim`) and `actions` (N x `slots`) from a safetensors file.
+///
+/// # Errors
+/// [`TrainError::Checkpoint`] with what is missing or has the wrong shape.
+pub fn load_pairs(
+    path: &Path,
+    obs_dim: usize,
+    slots: usize,
+    mut push: impl FnMut(&[f32], &[f32]),
+) -> Result<(), TrainError> {
+    let bytes = std::fs::read(path).map_err(TrainError::io("read", path))?;
+    let bad = bad(path);
+    let arrays = Arrays::read(&bytes).map_err(&bad)?;
+    let get = |name: &str, width: usize| match arrays.0.get(name) {
+        Some((shape, values)) if shape.len() == 2 && shape[1] == width => Ok((shape[0], values)),
+        Some((shape, _)) => Err(bad(format!("`{name}` has shape {shape:?}, expected N x {width}"))),
+        None => {
+            Err(bad(format!("`{name}` is missing; the file needs `obs` (N x {obs_dim}) and `actions` (N x {slots})")))
+        }
+    };
+    let ((n, obs), (m, actions)) = (get("obs", obs_dim)?, get("actions", slots)?);
+    if n != m || n == 0 {
+        return Err(bad(format!("{n} observations but {m} actions; expected as many, at least one")));
+    }
+    if obs.iter().chain(actions).any(|v| !v.is_finite()) {
+        return Err(bad("it holds numbers that are not finite".to_owned()));
+    }
+    obs.chunks_exact(obs_dim).zip(actions.chunks_exact(slots)).for_each(|(o, a)| push(o, a));
+    Ok(())
+}

@@ -1,0 +1,13 @@
+//! A training run: collection, updates, evaluation, checkpoints.
+
+pub mod agent;
+pub mod checkpoint;
+pub mod evaluate;
+pub mod progress;
+pub mod run;
+pub mod train;
+
+pub use agent::Agent;
+pub use evaluate::{Evaluation, evaluate};
+pub use run::Run;
+pub use train::{Outcome, TrainOptions, train};

@@ -1,0 +1,436 @@
+//! GADM + DQN online (paper, algorithm 1; specification 4.5): the state of a run and one round of it.
+
+use gadm_envs::{VecEnv, make_with};
+use rand::RngExt as _;
+use serde::{Deserialize, Serialize};
+
+use super::agent::Agent;
+use crate::config::TrainConfig;
+use crate::error::TrainError;
+use crate::metrics::{Record, keys};
+use crate::replay::{ActionBuffer, NStep, RlBatch, RlBuffer};
+use crate::seed::{Rng, SeedTree};
+
+/// Counters of a run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Counters {
+    /// Environment steps, warm-up included.
+    pub env_steps: u64,
+    /// Updates of the Q-network.
+    pub q_updates: u64,
+    /// Updates of the action model.
+    pub action_updates: u64,
+    /// Updates of the confidence predictor.
+    pub confidence_updates: u64,
+    /// Finished training episodes.
+    pub episodes: u64,
+    /// True once the warm-up is over.
+    pub warm: bool,
+    /// Highest mean return of an evaluation.
+    pub best_return: Option<f64>,
+    /// Mean return of the last evaluation.
+    pub last_return: Option<f64>,
+}
+
+/// Sums since the last metric record.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Window {
+    sums: Vec<(String, f64, u64)>,
+    /// How often each latent was assigned in the action model's batches.
+    pub code_counts: Vec<u64>,
+}
+
+impl Window {
+    /// Adds a value to the mean of `key`.
+    pub fn add(&mut self, key: &str, value: f64) {
+        match self.sums.iter_mut().find(|(k, ..)| k == key) {
+            Some(entry) => {
+                entry.1 += value;
+                entry.2 += 1;
+            }
+            None => self.sums.push((key.to_owned(), value, 1)),
+        }
+    }
+
+    /// Mean of `key`, if it has values.
+    pub fn mean(&self, key: &str) -> Option<f64> {
+        self.sums.iter().find(|(k, ..)| k == key).map(|(_, sum, n)| sum / *n as f64)
+    }
+
+    /// Codes assigned at least once, and exp of the entropy of their shares.
+    pub fn code_use(&self) -> (usize, f64) {
+        let total: u64 = self.code_counts.iter().sum();
+        let shares = self.code_counts.iter().filter(|c| **c > 0).map(|&c| c as f64 / total as f64);
+        (shares.clone().count(), shares.map(|p| -p * p.ln()).sum::<f64>().exp())
+    }
+}
+
+/// Random streams of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Streams {
+    /// Actions of the warm-up.
+    pub warmup: Rng,
+    /// ε and latents drawn at random.
+    pub explore: Rng,
+    /// Extreme noise.
+    pub noise: Rng,
+    /// Batches from D_AR.
+    pub sample_ar: Rng,
+    /// Batches from D_RL.
+    pub sample_rl: Rng,
+}
+
+/// A run in memory.
+pub struct Run {
+    /// Settings.
+    pub config: TrainConfig,
+    /// Networks.
+    pub agent: Agent,
+    /// Environments.
+    pub envs: VecEnv,
+    /// n-step assembly, one per environment.
+    pub nsteps: Vec<NStep>,
+    /// State-action pairs.
+    pub d_ar: ActionBuffer,
+    /// Transitions.
+    pub d_rl: RlBuffer,
+    /// Random streams.
+    pub streams: Streams,
+    /// Counters.
+    pub counters: Counters,
+    /// Sums since the last record.
+    pub window: Window,
+    batch: RlBatch,
+    obs: Vec<f32>,
+    actions: Vec<f32>,
+    codes: Vec<u32>,
+    obs_dim: usize,
+    slots: usize,
+}
+
+/// A loss that is not a number, with the batch that gave it.
+#[derive(Clone, Debug)]
+pub struct NotFinite {
+    /// Which loss.
+    pub what: &'static str,
+    /// Observations of the batch.
+    pub obs: Vec<f32>,
+    /// Actions of the batch.
+    pub actions: Vec<f32>,
+}
+
+impl Run {
+    /// A run at step 0.
+    ///
+    /// # Errors
+    /// For an unknown environment or impossible settings.
+    pub fn new(config: TrainConfig) -> Result<Self, TrainError> {
+        config.validate()?;
+        let spec = make_with(&config.env, &config.env_options)?.spec().clone();
+        let seeds = SeedTree::new(config.seed);
+        let envs = VecEnv::new(&config.env, config.collect.envs, seeds.number("environments"), &config.env_options)?;
+        let agent = Agent::new(&config, &spec)?;
+        let (obs_dim, slots) = (spec.obs_dim(), spec.action_dim());
+        let streams = Streams {
+            warmup: seeds.stream("warmup"),
+            explore: seeds.stream("explore"),
+            noise: seeds.stream("noise"),
+            sample_ar: seeds.stream("sample.ar"),
+            sample_rl: seeds.stream("sample.rl"),
+        };
+        let code_counts = vec![0; config.action_model.latents];
+        Ok(Self {
+            agent,
+            envs,
+            nsteps: vec![NStep::new(config.dqn.n_step, config.dqn.gamma); config.collect.envs],
+            d_ar: ActionBuffer::new(config.replay.ar_capacity, obs_dim, slots),
+            d_rl: RlBuffer::new(config.replay.rl_capacity, obs_dim, slots),
+            streams,
+            counters: Counters::default(),
+            window: Window { code_counts, ..Window::default() },
+            config,
+            batch: RlBatch::default(),
+            obs: Vec::new(),
+            actions: Vec::new(),
+            codes: Vec::new(),
+            obs_dim,
+            slots,
+        })
+    }
+
+    /// Updates of all networks so far.
+    pub fn updates(&self) -> u64 {
+        self.counters.q_updates + self.counters.action_updates + self.counters.confidence_updates
+    }
+
+    /// True when the configured steps are done.
+    pub fn finished(&self) -> bool {
+        self.counters.env_steps >= self.config.steps
+    }
+
+    /// What the next round does: `warm-up` or `training`.
+    pub fn phase(&self) -> &'static str {
+        let w = &self.config.warmup;
+        match self.counters.warm || !w.enabled {
+            true => "training",
+            false if w.data.is_none() && self.counters.env_steps < w.steps => "warm-up: random steps",
+            false if self.counters.action_updates < w.updates => "warm-up: action model",
+            false => "warm-up: confidence",
+        }
+    }
+
+    /// One round: a slice of the warm-up, or collection followed by the phases AR, LACP, RL.
+    ///
+    /// # Errors
+    /// [`NotFinite`] where a loss is not a number; environment errors.
+    pub fn round(&mut self) -> Result<Result<(), NotFinite>, TrainError> {
+        let steps = self.config.collect.steps_per_round / self.config.collect.envs;
+        if !self.counters.warm && self.config.warmup.enabled {
+            return self.warmup_round(steps);
+        }
+        self.counters.warm = true;
+        for _ in 0..steps {
+            self.collect_step()?;
+        }
+        let r = self.config.round.clone();
+        let ar_ready = self.d_ar.len() >= r.batch;
+        if ar_ready {
+            for _ in 0..r.action_updates {
+                if let Err(e) = self.update_action_model() {
+                    return Ok(Err(e));
+                }
+            }
+            if self.agent.confidence.is_some() {
+                for _ in 0..r.confidence_updates {
+                    if let Err(e) = self.update_confidence() {
+                        return Ok(Err(e));
+                    }
+                }
+            }
+        }
+        if self.d_rl.len() >= r.batch {
+            for _ in 0..r.q_updates {
+                if let Err(e) = self.update_q() {
+                    return Ok(Err(e));
+                }
+            }
+        }
+        Ok(Ok(()))
+    }
+
+    fn warmup_round(&mut self, steps: usize) -> Result<Result<(), NotFinite>, TrainError> {
+        let w = self.config.warmup.clone();
+        // Slices of about one round's work, so that progress, signals and checkpoints are served in between.
+        let slice = 64;
+        let confidence_goal = if self.agent.confidence.is_some() { w.confidence_updates } else { 0 };
+        if let Some(path) = w.data.as_ref().filter(|_| self.d_ar.is_empty()) {
+            super::checkpoint::load_pairs(path, self.obs_dim, self.slots, |obs, action| self.d_ar.push(obs, action))?;
+            return Ok(Ok(()));
+        }
+        if w.data.is_none() && self.counters.env_steps < w.steps {
+            for _ in 0..steps {
+                self.random_step()?;
+            }
+        } else if self.counters.action_updates < w.updates && !self.d_ar.is_empty() {
+            for _ in 0..slice.min(w.updates - self.counters.action_updates) {
+                if let Err(e) = self.update_action_model() {
+                    return Ok(Err(e));
+                }
+            }
+        } else if self.counters.confidence_updates < confidence_goal && !self.d_ar.is_empty() {
+            for _ in 0..slice.min(confidence_goal - self.counters.confidence_updates) {
+                if let Err(e) = self.update_confidence() {
+                    return Ok(Err(e));
+                }
+            }
+        } else {
+            self.counters.warm = true;
+            if !w.keep {
+                self.d_ar = ActionBuffer::new(self.config.replay.ar_capacity, self.obs_dim, self.slots);
+            }
+        }
+        Ok(Ok(()))
+    }
+
+    fn random_step(&mut self) -> Result<(), TrainError> {
+        let n = self.envs.len();
+        let obs = self.envs.obs().to_vec();
+        self.actions.resize(n * self.slots, 0.0);
+        for action in self.actions.chunks_exact_mut(self.slots) {
+            self.agent.model.space().random(&mut self.streams.warmup, action);
+        }
+        for (o, a) in obs.chunks_exact(self.obs_dim).zip(self.actions.chunks_exact(self.slots)) {
+            self.d_ar.push(o, a);
+        }
+        self.step_environments()?;
+        self.counters.env_steps += n as u64;
+        Ok(())
+    }
+
+    /// Current ε.
+    pub fn epsilon(&self) -> f64 {
+        let e = &self.config.explore;
+        e.epsilon_end + (e.epsilon_start - e.epsilon_end) * (-(self.counters.env_steps as f64) / e.epsilon_decay).exp()
+    }
+
+    /// One step of every environment with ε-greedy latents and extreme noise; draws are per environment.
+    fn collect_step(&mut self) -> Result<(), TrainError> {
+        let n = self.envs.len();
+        let (epsilon, extreme) = (self.epsilon(), self.config.explore.extreme_noise);
+        let obs = self.envs.obs().to_vec();
+        let mut codes = std::mem::take(&mut self.codes);
+        self.agent.greedy(&obs, n, &mut codes);
+        for code in &mut codes {
+            if self.streams.explore.random_bool(epsilon) {
+                *code = self.streams.explore.random_range(0..self.agent.model.num_latents() as u32);
+            }
+        }
+        self.actions.resize(n * self.slots, 0.0);
+        self.agent.model.decode(&obs, &codes, &mut self.actions, false);
+        if extreme > 0.0 {
+            for action in self.actions.chunks_exact_mut(self.slots) {
+                if self.streams.noise.random_bool(extreme) {
+                    self.agent.model.space().extreme(&mut self.streams.noise, action);
+                }
+            }
+        }
+        self.step_environments()?;
+        let batch = self.envs.last();
+        for i in 0..n {
+            let rows = |v: &[f32], width: usize| v[i * width..(i + 1) * width].to_vec();
+            let (o, a) = (rows(&obs, self.obs_dim), rows(&self.actions, self.slots));
+            self.d_ar.push(&o, &a);
+            let next = rows(&batch.next_obs, self.obs_dim);
+            let d_rl = &mut self.d_rl;
+            self.nsteps[i].push(
+                &o,
+                &a,
+                codes[i],
+                batch.rewards[i],
+                &next,
+                batch.terminated[i],
+                batch.truncated[i],
+                |t| d_rl.push(&t),
+            );
+        }
+        self.codes = codes;
+        self.counters.env_steps += n as u64;
+        Ok(())
+    }
+
+    /// Steps the environments with `self.actions` and books finished episodes.
+    fn step_environments(&mut self) -> Result<(), TrainError> {
+        let mut native = vec![0.0; self.actions.len()];
+        for (a, n) in self.actions.chunks_exact(self.slots).zip(native.chunks_exact_mut(self.slots)) {
+            self.agent.model.space().to_native(a, n);
+        }
+        let batch = self.envs.step(&native)?;
+        for end in &batch.ended {
+            self.counters.episodes += 1;
+            self.window.add(keys::EPISODE_RETURN, end.total_reward);
+            self.window.add(keys::EPISODE_LENGTH, end.length as f64);
+        }
+        Ok(())
+    }
+
+    fn not_finite(&self, what: &'static str, obs: &[f32], actions: &[f32]) -> NotFinite {
+        NotFinite { what, obs: obs.to_vec(), actions: actions.to_vec() }
+    }
+
+    fn update_action_model(&mut self) -> Result<(), NotFinite> {
+        self.d_ar.sample(self.config.round.batch, &mut self.streams.sample_ar, &mut self.obs, &mut self.actions);
+        let m = self.agent.model.update(&self.obs, &self.actions);
+        if !m.loss.is_finite() {
+            return Err(self.not_finite("action-model loss", &self.obs, &self.actions));
+        }
+        self.counters.action_updates += 1;
+        for &code in self.agent.model.training_codes() {
+            self.window.code_counts[code as usize] += 1;
+        }
+        self.window.add(keys::AE_LOSS, f64::from(m.loss));
+        self.window.add(keys::RECON_CONTINUOUS, f64::from(m.reconstruction.continuous));
+        self.window.add(keys::RECON_TYPE, f64::from(m.reconstruction.types));
+        self.window.add(keys::COMMITMENT, f64::from(m.commitment));
+        self.window.add(keys::AE_GRAD_NORM, f64::from(m.grad_norm));
+        Ok(())
+    }
+
+    fn update_confidence(&mut self) -> Result<(), NotFinite> {
+        self.d_ar.sample(self.config.round.batch, &mut self.streams.sample_ar, &mut self.obs, &mut self.actions);
+        let mut codes = std::mem::take(&mut self.codes);
+        self.agent.model.encode(&self.obs, &self.actions, &mut codes);
+        let loss = self.agent.confidence.as_mut().map_or(0.0, |c| c.update(&self.obs, &codes));
+        self.codes = codes;
+        if !loss.is_finite() {
+            return Err(self.not_finite("confidence loss", &self.obs, &self.actions));
+        }
+        self.counters.confidence_updates += 1;
+        self.agent.confidence_updates = self.counters.confidence_updates;
+        self.window.add(keys::CONFIDENCE_LOSS, f64::from(loss));
+        Ok(())
+    }
+
+    fn update_q(&mut self) -> Result<(), NotFinite> {
+        let n = self.config.round.batch;
+        self.d_rl.sample(n, &mut self.streams.sample_rl, &mut self.batch);
+        let mut codes = std::mem::take(&mut self.codes);
+        if self.config.round.remap {
+            self.agent.model.encode(&self.batch.obs, &self.batch.actions, &mut codes);
+            let changed = codes.iter().zip(&self.batch.codes).filter(|(a, b)| **a != **b as u32).count();
+            self.window.add(keys::REMAPPED, changed as f64 / n as f64);
+        } else {
+            codes.clear();
+            codes.extend(self.batch.codes.iter().map(|&c| c as u32));
+        }
+        let allowed = self.agent.masks(&self.batch.next_obs, n).to_vec();
+        let m = self.agent.dqn.update(&self.batch, &codes, &allowed);
+        self.codes = codes;
+        if !m.loss.is_finite() {
+            return Err(self.not_finite("Q loss", &self.batch.obs, &self.batch.actions));
+        }
+        self.counters.q_updates += 1;
+        self.window.add(keys::Q_LOSS, f64::from(m.loss));
+        self.window.add(keys::Q_MEAN, f64::from(m.q_mean));
+        self.window.add(keys::GRAD_NORM, f64::from(m.grad_norm));
+        Ok(())
+    }
+
+    /// The metric record of everything since the last one, and a fresh window.
+    pub fn record(&mut self) -> Record {
+        let mut record = Record::new(self.counters.env_steps);
+        record.push(keys::UPDATES, self.updates() as f64);
+        record.push(keys::EPISODES, self.counters.episodes as f64);
+        record.push(keys::EPSILON, self.epsilon());
+        record.push(keys::REPLAY_SIZE, self.d_rl.len() as f64);
+        for key in [
+            keys::EPISODE_RETURN,
+            keys::EPISODE_LENGTH,
+            keys::Q_LOSS,
+            keys::Q_MEAN,
+            keys::GRAD_NORM,
+            keys::AE_LOSS,
+            keys::RECON_CONTINUOUS,
+            keys::RECON_TYPE,
+            keys::COMMITMENT,
+            keys::AE_GRAD_NORM,
+            keys::CONFIDENCE_LOSS,
+            keys::REMAPPED,
+        ] {
+            if let Some(mean) = self.window.mean(key) {
+                record.push(key, mean);
+            }
+        }
+        let (used, perplexity) = self.window.code_use();
+        if used > 0 {
+            record.push(keys::CODES_USED, used as f64);
+            record.push(keys::CODE_PERPLEXITY, perplexity);
+        }
+        let (fallbacks, rows, allowed) = std::mem::take(&mut self.agent.mask_statistics);
+        if rows > 0 {
+            record.push(keys::MASK_SIZE, allowed as f64 / rows as f64);
+            record.push(keys::MASK_FALLBACK, fallbacks as f64 / rows as f64);
+        }
+        self.window = Window { code_counts: vec![0; self.config.action_model.latents], ..Window::default() };
+        record
+    }
+}

@@ -1,0 +1,233 @@
+//! Drives a run in its folder: rounds, metrics, evaluation, checkpoints, interruption.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+use super::checkpoint;
+use super::evaluate::{Evaluation, evaluate};
+use super::progress::{Progress, Snapshot, Style};
+use super::run::{NotFinite, Run};
+use crate::atomic;
+use crate::config::{TrainConfig, to_toml};
+use crate::error::TrainError;
+use crate::metrics::{JsonlSink, MetricsError, Record, TensorBoardSink, keys};
+use crate::seed::SeedTree;
+
+/// Name of the stored configuration in a run folder.
+pub const CONFIG_FILE: &str = "config.toml";
+
+/// How to run.
+pub struct TrainOptions<'a> {
+    /// Settings of a new run. When resuming, `None` takes the stored ones; `Some` must equal them but for `steps`.
+    pub config: Option<TrainConfig>,
+    /// Run folder.
+    pub dir: PathBuf,
+    /// Continue the run in `dir`.
+    pub resume: bool,
+    /// Progress display.
+    pub style: Style,
+    /// Set from a signal handler: the run then writes a checkpoint and stops.
+    pub stop: &'a AtomicBool,
+}
+
+/// How a run ended.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Environment steps done.
+    pub env_steps: u64,
+    /// Stopped from outside before the end.
+    pub interrupted: bool,
+    /// Mean return of the best evaluation.
+    pub best_return: Option<f64>,
+    /// The last evaluation of this session.
+    pub last: Option<Evaluation>,
+    /// Wall-clock time of this session, s.
+    pub wall_s: f64,
+}
+
+/// Seed of the evaluations during training; no training episode uses it.
+pub fn evaluation_seed(config: &TrainConfig) -> u64 {
+    SeedTree::new(config.seed).number("evaluation")
+}
+
+struct Sinks {
+    jsonl: JsonlSink,
+    tensorboard: TensorBoardSink,
+}
+
+fn metrics_error(error: MetricsError) -> TrainError {
+    TrainError::Metrics(error)
+}
+
+fn unix_time() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
+}
+
+impl Sinks {
+    fn write(&mut self, record: &Record) -> Result<(), TrainError> {
+        self.jsonl.write(record).map_err(metrics_error)?;
+        self.tensorboard.write(record, unix_time()).map_err(metrics_error)
+    }
+}
+
+/// Starts or resumes.
+fn open(options: &TrainOptions) -> Result<(Run, Sinks), TrainError> {
+    let dir = &options.dir;
+    if options.resume {
+        let mut run = checkpoint::load(dir)?;
+        if let Some(config) = &options.config {
+            let same = TrainConfig { steps: run.config.steps, ..config.clone() };
+            if same != run.config {
+                return Err(TrainError::ConfigChanged {
+                    path: dir.clone(),
+                    detail: first_difference(&run.config, &same),
+                });
+            }
+            run.config.steps = config.steps;
+        }
+        atomic::remove_leftovers(&dir.join(checkpoint::FOLDER)).map_err(TrainError::io("clean up", dir))?;
+        let step = run.counters.env_steps;
+        let sinks = Sinks {
+            jsonl: JsonlSink::resume(dir, step).map_err(metrics_error)?,
+            tensorboard: TensorBoardSink::resume(dir, step, unix_time()).map_err(metrics_error)?,
+        };
+        return Ok((run, sinks));
+    }
+    let config = options.config.clone().unwrap_or_default();
+    let run = Run::new(config)?;
+    if dir.exists() && std::fs::read_dir(dir).map_err(TrainError::io("read", dir))?.next().is_some() {
+        return Err(TrainError::RunExists { path: dir.clone() });
+    }
+    std::fs::create_dir_all(dir.join(checkpoint::FOLDER)).map_err(TrainError::io("create", dir))?;
+    let text = to_toml(&run.config).map_err(TrainError::ConfigFile)?;
+    atomic::write(&dir.join(CONFIG_FILE), text.as_bytes()).map_err(TrainError::Write)?;
+    let sinks = Sinks {
+        jsonl: JsonlSink::create(dir).map_err(metrics_error)?,
+        tensorboard: TensorBoardSink::create(dir, unix_time()).map_err(metrics_error)?,
+    };
+    Ok((run, sinks))
+}
+
+fn first_difference(stored: &TrainConfig, given: &TrainConfig) -> String {
+    let (a, b) = (to_toml(stored).unwrap_or_default(), to_toml(given).unwrap_or_default());
+    let line = a.lines().zip(b.lines()).find(|(x, y)| x != y);
+    line.map_or_else(|| "another set of keys".to_owned(), |(x, y)| format!("stored `{x}`, given `{y}`"))
+}
+
+/// Trains until the configured steps are done, the target return is reached, or `stop` is set.
+///
+/// # Errors
+/// Any [`TrainError`]; a usable checkpoint then remains as of the last one written.
+pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
+    let (mut run, mut sinks) = open(options)?;
+    let start = Instant::now();
+    let mut progress = Progress::new(run.config.steps, &run.config.env, options.style);
+    let mut outcome = Outcome { env_steps: 0, interrupted: false, best_return: None, last: None, wall_s: 0.0 };
+    let mut clock = (Instant::now(), run.counters.env_steps, run.updates());
+    let mut reached = false;
+    let mut recent = (None, None);
+    while !run.finished() && !reached {
+        if options.stop.load(Ordering::Relaxed) {
+            outcome.interrupted = true;
+            break;
+        }
+        let before = run.counters.env_steps;
+        if let Err(bad) = run.round()? {
+            return Err(stopped(&run, &options.dir, &bad)?);
+        }
+        let now = run.counters.env_steps;
+        let crossed = |every: u64| every > 0 && before / every != now / every;
+        recent.0 = run.window.mean(keys::EPISODE_RETURN).or(recent.0);
+        recent.1 = run.window.mean(keys::Q_LOSS).or_else(|| run.window.mean(keys::AE_LOSS)).or(recent.1);
+        progress.update(&Snapshot {
+            phase: run.phase(),
+            env_steps: now,
+            updates: run.updates(),
+            episode_return: recent.0,
+            loss: recent.1,
+            latents: (run.window.code_use().0 > 0).then(|| (run.window.code_use().0, run.config.action_model.latents)),
+        });
+        let evaluates = run.counters.warm && (crossed(run.config.track.eval_every) || run.finished());
+        if crossed(run.config.track.log_every) || evaluates {
+            let mut record = run.record();
+            let elapsed = clock.0.elapsed().as_secs_f64().max(1e-9);
+            let rates = ((now - clock.1) as f64 / elapsed, (run.updates() - clock.2) as f64 / elapsed);
+            clock = (Instant::now(), now, run.updates());
+            if evaluates {
+                let evaluation = evaluate_run(&mut run, &mut record)?;
+                reached = run.config.track.stop_at_return.is_some_and(|target| evaluation.mean() >= target);
+                if run.counters.best_return.is_none_or(|best| evaluation.mean() > best) {
+                    run.counters.best_return = Some(evaluation.mean());
+                    checkpoint::save_best(&run, &options.dir)?;
+                }
+                record.push(keys::EVAL_RETURN_BEST, run.counters.best_return.unwrap_or(f64::NAN));
+                progress.suspend(|| {
+                    tracing::info!(
+                        "step {now}: return {:.1} ± {:.1} over {} episodes (best {:.1})",
+                        evaluation.mean(),
+                        evaluation.sd(),
+                        evaluation.returns.len(),
+                        run.counters.best_return.unwrap_or(f64::NAN)
+                    );
+                });
+                outcome.last = Some(evaluation);
+            }
+            record.push(keys::WALL_S, start.elapsed().as_secs_f64());
+            record.push(keys::ENV_STEPS_PER_S, rates.0);
+            record.push(keys::UPDATES_PER_S, rates.1);
+            sinks.write(&record)?;
+        }
+        if crossed(run.config.track.checkpoint_every) {
+            sinks.jsonl.sync().map_err(metrics_error)?;
+            checkpoint::save(&run, &options.dir)?;
+        }
+    }
+    sinks.jsonl.sync().map_err(metrics_error)?;
+    checkpoint::save(&run, &options.dir)?;
+    outcome.env_steps = run.counters.env_steps;
+    outcome.best_return = run.counters.best_return;
+    outcome.wall_s = start.elapsed().as_secs_f64();
+    progress.finish(&if outcome.interrupted {
+        format!("interrupted at step {}; checkpoint written, continue with --resume", outcome.env_steps)
+    } else {
+        format!("done: {} steps in {:.0} s", outcome.env_steps, outcome.wall_s)
+    });
+    Ok(outcome)
+}
+
+fn evaluate_run(run: &mut Run, record: &mut Record) -> Result<Evaluation, TrainError> {
+    let config = run.config.clone();
+    let evaluation = evaluate(
+        &mut run.agent,
+        &config.env,
+        &config.env_options,
+        config.track.eval_episodes,
+        evaluation_seed(&config),
+    )?;
+    run.counters.last_return = Some(evaluation.mean());
+    let (low, high) =
+        evaluation.returns.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &r| (l.min(r), h.max(r)));
+    let n = evaluation.returns.len() as f64;
+    record.push(keys::EVAL_RETURN_MEAN, evaluation.mean());
+    record.push(keys::EVAL_RETURN_SD, evaluation.sd());
+    record.push(keys::EVAL_RETURN_MIN, low);
+    record.push(keys::EVAL_RETURN_MAX, high);
+    record.push(keys::EVAL_LENGTH_MEAN, evaluation.lengths.iter().sum::<u64>() as f64 / n);
+    record.push(keys::EVAL_EPISODES, n);
+    if let Some(successes) = evaluation.successes {
+        record.push(keys::EVAL_SUCCESS_RATE, successes as f64 / n);
+    }
+    Ok(evaluation)
+}
+
+fn stopped(run: &Run, dir: &Path, bad: &NotFinite) -> Result<TrainError, TrainError> {
+    let batch = dir.join("not-finite.safetensors");
+    checkpoint::save_batch(&batch, bad.what, &bad.obs, &bad.actions)?;
+    Ok(TrainError::NotFinite {
+        what: bad.what.to_owned(),
+        env_step: run.counters.env_steps,
+        update: run.updates(),
+        batch,
+    })
+}
