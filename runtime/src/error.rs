@@ -1,6 +1,6 @@
 //! Errors: what is wrong, where, what was expected and what was found. All are small and `Copy`.
 
-use crate::schema::{Section, WeightKind};
+use crate::schema::{FORMAT_VERSION, NUMERICS_VERSION, RUNTIME_ABI, Section, WeightKind};
 use core::fmt;
 
 /// Why an image is not a policy that can be run.
@@ -212,19 +212,121 @@ pub enum SelfTestError {
 
 impl fmt::Display for LoadError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{self:?}")
+        match *self {
+            Self::Truncated { expected, found } => {
+                write!(f, "policy file is cut off: {expected} bytes needed, {found} given; copy or flash it again")
+            }
+            Self::Misaligned { expected, found } => write!(
+                f,
+                "policy image starts {found} bytes beyond a multiple of {expected}; align it (AlignedImage on a host, a \
+                 linker section on a device)"
+            ),
+            Self::Erased => write!(f, "the slot is erased or empty: no policy was written there"),
+            Self::NotAPolicy { found } => {
+                write!(f, "not a policy file: it starts with {found:02x?}; give the .bin that `gadm export` wrote")
+            }
+            Self::TextDamage { found } => write!(
+                f,
+                "policy file damaged by a text-mode transfer: it starts with {found:02x?}; copy it in binary mode"
+            ),
+            Self::HeaderChecksum { expected, found } => {
+                write!(f, "header damaged: CRC-32 {expected:08x} stored, {found:08x} computed; copy the file again")
+            }
+            Self::Version { format, numerics, runtime_abi } => write!(
+                f,
+                "file has format {format}, numerics {numerics}, runtime ABI {runtime_abi}; this runtime knows format \
+                 {FORMAT_VERSION}, numerics {NUMERICS_VERSION}, runtime ABI {RUNTIME_ABI}: update the runtime or export \
+                 the policy again"
+            ),
+            Self::WeightKind { expected, found } => write!(
+                f,
+                "file holds weights of kind {found}, {expected:?} ({}) expected; kind 0 is run by Policy, kind 1 by \
+                 FloatPolicy",
+                expected.code()
+            ),
+            Self::Checksum { section, expected, found } => {
+                let name = if section == Section::Table { "payload" } else { section.name() };
+                write!(f, "{name} damaged: CRC-32 {expected:08x} stored, {found:08x} computed; copy the file again")
+            }
+            Self::InterfaceHash { expected, found } => write!(
+                f,
+                "interface hash {expected:016x} stored, {found:016x} computed from the interface record; export again"
+            ),
+            Self::SectionLength { section, expected, found } => {
+                write!(f, "{}: its content needs {expected} bytes, it has {found}; export again", section.name())
+            }
+            Self::Field { section, offset, min, max, found } => {
+                write!(f, "{}, offset {offset}: {min}..={max} expected, {found} found; export again", section.name())
+            }
+            Self::Number { section, offset, found } => {
+                write!(f, "{}, offset {offset}: {found} is not finite or out of range; export again", section.name())
+            }
+            Self::Text { section, offset } => write!(
+                f,
+                "{}, offset {offset}: text longer than 64 bytes, not UTF-8 or with control characters; export again",
+                section.name()
+            ),
+            Self::Padding { section, offset } => {
+                write!(f, "{}, offset {offset}: padding must be zero; export again", section.name())
+            }
+            Self::PaddedWeight { section, layer, row } => {
+                write!(
+                    f,
+                    "{}, layer {layer}, row {row}: padding of the weights must be zero; export again",
+                    section.name()
+                )
+            }
+            Self::Weight { section, layer, row } => {
+                write!(
+                    f,
+                    "{}, layer {layer}, row {row}: a weight is outside of -127..=127; export again",
+                    section.name()
+                )
+            }
+            Self::Bound { section, layer, row, limit, found } => write!(
+                f,
+                "{}, layer {layer}, row {row}: a sum could reach {found}, at most {limit} is exact; export again",
+                section.name()
+            ),
+        }
     }
 }
 
 impl fmt::Display for ActError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{self:?}")
+        match *self {
+            Self::ObservationLength { expected, found } => {
+                write!(f, "observation: {expected} values expected, {found} given; see observation_signals")
+            }
+            Self::NonFinite { index } => {
+                write!(f, "observation {index} is NaN or infinite; hold the last action and check the sensor")
+            }
+            Self::ActionLength { expected, found } => {
+                write!(f, "action slice: {expected} values needed, {found} given")
+            }
+            Self::ScratchLength { expected, found } => {
+                write!(f, "scratch memory: {expected} words needed, {found} given; see scratch_words")
+            }
+        }
     }
 }
 
 impl fmt::Display for SelfTestError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{self:?}")
+        match *self {
+            Self::Act(error) => write!(f, "self-test could not run: {error}"),
+            Self::Latent { vector, expected, found } => {
+                write!(
+                    f,
+                    "self-test vector {vector}: latent {expected} expected, {found} computed; do not run this policy"
+                )
+            }
+            Self::Action { vector, slot, expected, found } => write!(
+                f,
+                "self-test vector {vector}, action slot {slot}: {expected} expected, {found} computed; do not run this \
+                 policy"
+            ),
+        }
     }
 }
 

@@ -1,4 +1,4 @@
-//! `no_std` inference of one GADM policy.
+#![doc = include_str!("../README.md")]
 #![no_std]
 #![forbid(unsafe_code)]
 #![warn(

@@ -25,7 +25,7 @@ fn smmlar_oracle(layer: &IntLayer, constants: &[(i32, i32)], x: &[i16]) -> Vec<i
             let acc = i64::from(layer.start[row]) + sum * lift;
             assert!(i32::try_from(acc).is_ok(), "the case must keep the bound");
             let (m, p) = constants[row];
-            (i128::from(acc) * i128::from(m) + (i128::from(p) << 32) + (1 << 31) >> 32) as i64
+            ((i128::from(acc) * i128::from(m) + (i128::from(p) << 32) + (1 << 31)) >> 32) as i64
         })
         .collect()
 }
