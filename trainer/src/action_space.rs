@@ -33,10 +33,16 @@ pub enum ContinuousHead {
     /// Extreme Action Regression: expectation of a softmax over equally spaced atoms, both ends included (paper eq. 14).
     Categorical {
         /// Atoms J (the paper's N + 1).
+        #[serde(default = "default_atoms")]
         atoms: usize,
         /// Snap rule at evaluation; never used while training or collecting.
+        #[serde(default)]
         snap: SnapRule,
     },
+}
+
+fn default_atoms() -> usize {
+    11
 }
 
 /// Probability from which an atom snaps.

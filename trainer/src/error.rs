@@ -74,6 +74,9 @@ pub enum TrainError {
     /// The policy cannot be exported.
     #[error("export: {0}")]
     Export(String),
+    /// A policy file cannot be used.
+    #[error("policy: {0}")]
+    Policy(String),
     /// The environment.
     #[error(transparent)]
     Env(#[from] gadm_envs::EnvError),

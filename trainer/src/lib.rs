@@ -7,6 +7,7 @@ pub mod card;
 pub mod config;
 pub mod discretizer;
 pub mod error;
+pub mod export;
 pub mod metrics;
 pub mod nn;
 pub mod plot;

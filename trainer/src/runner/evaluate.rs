@@ -1,6 +1,8 @@
 //! Greedy evaluation of the float policy: no ε, no noise, snap rule on (specification 4.6).
 
-use gadm_envs::{Env, EnvOptions, make_with};
+use gadm_envs::{Env, EnvOptions, EnvSpec, make_with};
+use gadm_runtime::encode::AlignedImage;
+use gadm_runtime::{FloatPolicy, Policy, Scratch, WeightKind};
 use serde::{Deserialize, Serialize};
 
 use super::agent::Agent;
@@ -89,4 +91,98 @@ pub fn evaluate(
     }
     agent.mask_statistics = statistics;
     Ok(result)
+}
+
+/// Runs `episodes` episodes of a policy file in the runtime, one after the other; episode seeds and sums as in [`evaluate`], so
+/// that a simulated bus gives the same returns to the last bit.
+///
+/// # Errors
+/// [`TrainError::Policy`] for a file that does not load or does not fit the environment.
+pub fn evaluate_policy(
+    bytes: &[u8],
+    env: &str,
+    options: &EnvOptions,
+    episodes: usize,
+    seed: u64,
+) -> Result<Evaluation, TrainError> {
+    let image = AlignedImage::new(bytes);
+    let policy = Policy::load(&image).map_err(|e| TrainError::Policy(e.to_string()))?;
+    let float = if policy.spec().weights == WeightKind::Float32 {
+        Some(FloatPolicy::load(&image).map_err(|e| TrainError::Policy(e.to_string()))?)
+    } else {
+        None
+    };
+    let mut env = make_with(env, options)?;
+    check_fit(&policy, env.spec())?;
+    let spec = env.spec().clone();
+    let mut result = Evaluation {
+        successes: spec.goal_terminal.then_some(0),
+        latent_counts: vec![0; usize::from(policy.spec().num_latents)],
+        ..Evaluation::default()
+    };
+    let mut memory = vec![0; policy.spec().scratch_words];
+    let mut scratch = Scratch::new(&mut memory);
+    let (mut obs, mut action) = (vec![0.0; spec.obs_dim()], vec![0.0; spec.action_dim()]);
+    for episode in 0..episodes {
+        env.reset(gadm_envs::episode_seed(seed, episode as u64), &mut obs);
+        let (mut total, mut length) = (0.0, 0);
+        loop {
+            let latent = match &float {
+                Some(policy) => policy.act(&obs, &mut scratch, &mut action).map(|d| d.latent),
+                None => policy.act(&obs, &mut scratch, &mut action).map(|d| d.latent),
+            }
+            .map_err(|e| TrainError::Policy(e.to_string()))?;
+            result.latent_counts[usize::from(latent)] += 1;
+            let step = env.step(&action, &mut obs);
+            total += step.reward;
+            length += 1;
+            if step.terminated || step.truncated {
+                if let Some(n) = result.successes.as_mut().filter(|_| step.terminated && step.reward > 0.0) {
+                    *n += 1;
+                }
+                break;
+            }
+        }
+        result.returns.push(total);
+        result.lengths.push(length);
+    }
+    Ok(result)
+}
+
+/// Checks that a policy's interface is the environment's: same signals in the same order, same period.
+///
+/// # Errors
+/// [`TrainError::Policy`] with the first difference.
+pub fn check_fit(policy: &Policy, spec: &EnvSpec) -> Result<(), TrainError> {
+    let refuse = |what: &str, expected: String, found: String| {
+        Err(TrainError::Policy(format!(
+            "this policy was made for `{}` and does not fit environment `{}`: {what}: expected {expected}, found {found}; \
+             evaluate it in its own environment",
+            policy.provenance().environment,
+            spec.id
+        )))
+    };
+    let (obs, actions) = (usize::from(policy.spec().obs_dim), usize::from(policy.spec().action_dim));
+    if obs != spec.obs_dim() {
+        return refuse("observation length", spec.obs_dim().to_string(), obs.to_string());
+    }
+    if actions != spec.action_dim() {
+        return refuse("action slots", spec.action_dim().to_string(), actions.to_string());
+    }
+    for (i, (a, b)) in policy.observation_signals().zip(&spec.observations).enumerate() {
+        if a.name != b.name || a.unit != b.unit {
+            let text = |name: &str, unit: &str| format!("{name} [{unit}]");
+            return refuse(&format!("observation {i}"), text(&b.name, &b.unit), text(a.name, a.unit));
+        }
+    }
+    for (i, (a, b)) in policy.action_signals().zip(&spec.actions).enumerate() {
+        if a.name != b.name || a.head != b.head {
+            return refuse(&format!("action slot {i}"), format!("{} {:?}", b.name, b.head), format!("{} {:?}", a.name, a.head));
+        }
+    }
+    if policy.spec().control_period_us != spec.control_period_us {
+        let us = |p: u32| format!("{p} µs");
+        return refuse("control period", us(spec.control_period_us), us(policy.spec().control_period_us));
+    }
+    Ok(())
 }

@@ -8,6 +8,6 @@ pub mod run;
 pub mod train;
 
 pub use agent::Agent;
-pub use evaluate::{Evaluation, evaluate};
+pub use evaluate::{Evaluation, check_fit, evaluate, evaluate_policy};
 pub use run::Run;
 pub use train::{Outcome, TrainOptions, train};

@@ -11,13 +11,23 @@ pub enum TargetUpdate {
     /// Copy every so many updates.
     Hard {
         /// Updates between copies.
+        #[serde(default = "default_every")]
         every: u64,
     },
     /// Move by a share of the difference at every update (Polyak).
     Soft {
         /// The share.
+        #[serde(default = "default_tau")]
         tau: f64,
     },
+}
+
+fn default_every() -> u64 {
+    500
+}
+
+fn default_tau() -> f64 {
+    0.001
 }
 
 /// The Q-network and its update (specification 4.1 to 4.3).

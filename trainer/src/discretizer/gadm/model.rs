@@ -367,7 +367,7 @@ impl ActionModel {
     }
 }
 
-mod fold;
+pub mod fold;
 
 #[cfg(test)]
 mod tests;
