@@ -26,7 +26,8 @@ pub enum EncodeError {
     },
     /// The file that was written is refused by the runtime: a defect of the writer.
     Refused(LoadError),
-    /// The file that was written fails its own vectors: a defect of the writer.
+    /// The file that was written fails its own vectors. For an int8 file a defect of the writer; for an `f32` file the
+    /// weights are so large that the order of sums changes an action by more than 1e-4 of its range.
     SelfTest(SelfTestError),
 }
 
@@ -36,7 +37,10 @@ impl fmt::Display for EncodeError {
             Self::Shape { what, expected, found } => write!(f, "{what}: expected length {expected}, found {found}"),
             Self::Value { what, found } => write!(f, "{what}: found {found}"),
             Self::Refused(error) => write!(f, "the written file is refused by its own reader: {error}"),
-            Self::SelfTest(error) => write!(f, "the written file fails its own vectors: {error}"),
+            Self::SelfTest(error) => write!(
+                f,
+                "the written file fails its own vectors (an f32 file: weights too large for the order of sums not to matter): {error}"
+            ),
         }
     }
 }

@@ -25,7 +25,8 @@ fuzz_target!(|data: &[u8]| {
         Err(error) => assert!(matches!(error, EncodeError::Value { .. }), "{error}"),
     }
     match write_float(&model, &obs, &options) {
-        Ok(_) | Err(EncodeError::Value { .. }) => {}
+        // Sums of wild weights may depend on their order; the writer says so.
+        Ok(_) | Err(EncodeError::Value { .. } | EncodeError::SelfTest(_)) => {}
         Err(error) => panic!("{error}"),
     }
 });
