@@ -61,6 +61,14 @@ pub enum TrainError {
         /// What is wrong and what to do.
         reason: String,
     },
+    /// A file with recorded actions that cannot be used.
+    #[error("data file {}: {reason}", path.display())]
+    Data {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it and what was expected.
+        reason: String,
+    },
     /// A file operation failed.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {

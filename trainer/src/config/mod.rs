@@ -1,5 +1,6 @@
 //! The configuration of a training run: one TOML file, every key documented, unknown keys refused.
 
+pub mod builtin;
 pub mod resolve;
 
 use std::path::PathBuf;

@@ -2,12 +2,14 @@
 
 use std::process::Command;
 
+use gadm_runtime::Policy;
 use gadm_runtime::encode::AlignedImage;
 use gadm_runtime::space::ActionHead;
-use gadm_runtime::Policy;
 
 use super::Exported;
-use crate::card::{CARD_VERSION, Card, Interface, Part, PolicyFile, ReturnStats, Returns, Signal, Training, sha256_hex};
+use crate::card::{
+    CARD_VERSION, Card, Interface, Part, PolicyFile, ReturnStats, Returns, Signal, Training, sha256_hex,
+};
 use crate::config::{config_hash, to_toml};
 use crate::error::TrainError;
 

@@ -20,7 +20,8 @@ pub fn float_model(trained: &mut Trained, spec: &EnvSpec) -> Result<FloatModel, 
     q.push(Dense { rows: bias.len(), cols, weight, bias });
     let masking = agent.masking();
     let confidence = agent.confidence.as_ref().filter(|_| masking);
-    let beta = confidence.map_or(1.0 / agent.model.num_latents() as f32, crate::discretizer::gadm::Confidence::threshold);
+    let beta =
+        confidence.map_or(1.0 / agent.model.num_latents() as f32, crate::discretizer::gadm::Confidence::threshold);
     let confidence = confidence.map(|c| c.layers().iter().map(|layer| dense(&c.params, layer)).collect());
     let decoder = agent.model.folded_decoder()?;
     let heads = match decoder {

@@ -10,7 +10,9 @@ pub use parity::{Limits, measure};
 
 use std::path::Path;
 
-use gadm_runtime::encode::{AlignedImage, FileOptions, FloatModel, QuantiseOptions, QuantiseReport, quantise, write_float, write_int8};
+use gadm_runtime::encode::{
+    AlignedImage, FileOptions, FloatModel, QuantiseOptions, QuantiseReport, quantise, write_float, write_int8,
+};
 use gadm_runtime::{Policy, ReturnStats};
 
 use crate::card::Parity;
@@ -89,7 +91,10 @@ pub fn export(dir: &Path, options: &ExportOptions) -> Result<Exported, TrainErro
     let obs_dim = spec.obs_dim();
     let rows = calibration.len() / obs_dim;
     if rows == 0 {
-        return Err(TrainError::Export(format!("{} has collected no observation to calibrate with: train longer", dir.display())));
+        return Err(TrainError::Export(format!(
+            "{} has collected no observation to calibrate with: train longer",
+            dir.display()
+        )));
     }
     let tests: Vec<f32> = (0..SELF_TESTS.min(rows))
         .flat_map(|i| {

@@ -32,10 +32,16 @@ impl Limits {
         let mut missed = Vec::new();
         let p = &exported.parity;
         if p.argmax_agreement < self.agreement {
-            missed.push(format!("latents agree on {:.4} of the observations, limit {}", p.argmax_agreement, self.agreement));
+            missed.push(format!(
+                "latents agree on {:.4} of the observations, limit {}",
+                p.argmax_agreement, self.agreement
+            ));
         }
         if p.action_error_mean > self.action_error {
-            missed.push(format!("mean action error {:.4} of the range, limit {}", p.action_error_mean, self.action_error));
+            missed.push(format!(
+                "mean action error {:.4} of the range, limit {}",
+                p.action_error_mean, self.action_error
+            ));
         }
         let (float, device) = (&exported.float, &exported.device);
         let n = float.returns.len() as f64;

@@ -3,6 +3,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::error::TrainError;
+
 /// Settings of the optimiser.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -22,6 +24,28 @@ pub struct AdamConfig {
 impl Default for AdamConfig {
     fn default() -> Self {
         Self { learning_rate: 3e-4, grad_clip: 0.5, beta1: 0.9, beta2: 0.999, epsilon: 1e-8 }
+    }
+}
+
+impl AdamConfig {
+    /// Checks the settings; `key` is the dotted key of this table.
+    ///
+    /// # Errors
+    /// [`TrainError::Config`] for a step size or an epsilon that is not positive, a negative clip, or a decay outside 0..1.
+    pub fn validate(&self, key: &str) -> Result<(), TrainError> {
+        let positive = |v: f64| v.is_finite() && v > 0.0;
+        for (name, value, fits, expected) in [
+            ("learning_rate", self.learning_rate, positive(self.learning_rate), "above 0"),
+            ("epsilon", self.epsilon, positive(self.epsilon), "above 0"),
+            ("grad_clip", self.grad_clip, self.grad_clip.is_finite() && self.grad_clip >= 0.0, "0 or more"),
+            ("beta1", self.beta1, (0.0..1.0).contains(&self.beta1), "0 or more and below 1"),
+            ("beta2", self.beta2, (0.0..1.0).contains(&self.beta2), "0 or more and below 1"),
+        ] {
+            if !fits {
+                return Err(TrainError::config(&format!("{key}.{name}"), expected, value));
+            }
+        }
+        Ok(())
     }
 }
 

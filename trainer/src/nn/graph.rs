@@ -178,7 +178,7 @@ impl Graph {
                     let floor = if *relu { 0.0 } else { f32::NEG_INFINITY };
                     let inputs = ws.act[*x].iter().zip(&ws.act[*scale]).zip(&ws.act[*shift]);
                     for (o, ((&x, &s), &t)) in out.iter_mut().zip(inputs) {
-                        *o = ((1.0 + s) * x + t).max(floor);
+                        *o = at_least((1.0 + s) * x + t, floor);
                     }
                     ws.act[*y] = out;
                 }
@@ -377,11 +377,16 @@ impl Workspace {
     }
 }
 
+/// `max(value, floor)`, but NaN stays NaN: `f32::max` would turn it into the floor, and a ReLU would hide it from the loss.
+fn at_least(value: f32, floor: f32) -> f32 {
+    if value < floor { floor } else { value }
+}
+
 fn add_bias(out: &mut [f32], bias: &[f32], relu: bool) {
     let floor = if relu { 0.0 } else { f32::NEG_INFINITY };
     for row in out.chunks_exact_mut(bias.len()) {
         for (o, b) in row.iter_mut().zip(bias) {
-            *o = (*o + b).max(floor);
+            *o = at_least(*o + b, floor);
         }
     }
 }

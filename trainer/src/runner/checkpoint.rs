@@ -4,14 +4,16 @@
 //! everything a run needs to go on as if never stopped; `best.safetensors` holds the networks of the best evaluation and a
 //! sample of observations for the export's calibration.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
-use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use crc::{CRC_32_ISO_HDLC, Crc, Table};
+use safetensors::tensor::{Dtype, SafeTensors, View};
 use serde::{Deserialize, Serialize};
 
 use super::agent::Agent;
-use super::run::{Counters, Run, Streams, Window};
+use super::run::{Counters, NotFinite, Run, Streams, Window};
 use crate::atomic;
 use crate::config::TrainConfig;
 use crate::error::TrainError;
@@ -30,17 +32,44 @@ const VERSION: u32 = 1;
 /// Observations stored for the export's calibration, at most.
 const CALIBRATION_ROWS: usize = 8192;
 
-/// Named arrays with their shapes.
-#[derive(Default)]
-struct Arrays(BTreeMap<String, (Vec<usize>, Vec<f32>)>);
+/// Over the run state and every array, so that a damaged file is refused and not trained on.
+const CRC_32: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
 
-impl Arrays {
-    fn put(&mut self, name: impl Into<String>, shape: Vec<usize>, values: Vec<f32>) {
-        self.0.insert(name.into(), (shape, values));
+/// Named arrays with their shapes. Replay buffers are borrowed: a copy of them may not fit into memory.
+#[derive(Default)]
+struct Arrays<'a>(BTreeMap<String, Array<'a>>);
+
+#[derive(Clone)]
+struct Array<'a> {
+    shape: Vec<usize>,
+    values: Cow<'a, [f32]>,
+}
+
+impl View for &Array<'_> {
+    fn dtype(&self) -> Dtype {
+        Dtype::F32
     }
 
-    fn flat(&mut self, name: impl Into<String>, values: &[f32]) {
-        self.put(name, vec![values.len()], values.to_vec());
+    fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    fn data(&self) -> Cow<'_, [u8]> {
+        Cow::Owned(self.values.iter().flat_map(|x| x.to_le_bytes()).collect())
+    }
+
+    fn data_len(&self) -> usize {
+        4 * self.values.len()
+    }
+}
+
+impl<'a> Arrays<'a> {
+    fn put(&mut self, name: impl Into<String>, shape: Vec<usize>, values: impl Into<Cow<'a, [f32]>>) {
+        self.0.insert(name.into(), Array { shape, values: values.into() });
+    }
+
+    fn flat(&mut self, name: impl Into<String>, values: &'a [f32]) {
+        self.put(name, vec![values.len()], values);
     }
 
     fn params(&mut self, prefix: &str, params: &Params) {
@@ -49,18 +78,21 @@ impl Arrays {
         }
     }
 
-    fn adam(&mut self, prefix: &str, adam: &Adam) {
+    fn adam(&mut self, prefix: &str, adam: &'a Adam) {
         self.flat(format!("{prefix}/adam.m"), &adam.m);
         self.flat(format!("{prefix}/adam.v"), &adam.v);
     }
 
     fn take(&mut self, name: &str) -> Result<Vec<f32>, String> {
-        self.0.remove(name).map(|(_, v)| v).ok_or_else(|| format!("`{name}` is missing"))
+        self.0.remove(name).map(|a| a.values.into_owned()).ok_or_else(|| format!("`{name}` is missing"))
     }
 
     fn load_params(&mut self, prefix: &str, params: &mut Params) -> Result<(), String> {
         let start = format!("{prefix}/");
-        let own = self.0.iter().filter_map(|(k, v)| Some((k.strip_prefix(&start)?.to_owned(), v.clone()))).collect();
+        let own = self.0.iter().filter_map(|(name, a)| {
+            Some((name.strip_prefix(&start)?.to_owned(), (a.shape.clone(), a.values.to_vec())))
+        });
+        let own = own.collect();
         params.import(&own).map_err(|e| format!("{prefix}: {e}"))
     }
 
@@ -96,33 +128,48 @@ impl Arrays {
 
     /// Serialises with `state` in the header.
     fn to_bytes(&self, state: String) -> Result<Vec<u8>, String> {
-        let bytes: BTreeMap<&String, Vec<u8>> =
-            self.0.iter().map(|(k, (_, v))| (k, v.iter().flat_map(|x| x.to_le_bytes()).collect())).collect();
-        let views: Result<Vec<_>, _> = self
-            .0
-            .iter()
-            .map(|(k, (shape, _))| TensorView::new(Dtype::F32, shape.clone(), &bytes[k]).map(|view| (k.clone(), view)))
-            .collect();
-        let header = HashMap::from([("gadm".to_owned(), state)]);
-        safetensors::serialize(views.map_err(|e| e.to_string())?, Some(header)).map_err(|e| e.to_string())
+        let crc = self.checksum(&state).to_string();
+        let header = HashMap::from([("gadm".to_owned(), state), ("crc32".to_owned(), crc)]);
+        safetensors::serialize(&self.0, Some(header)).map_err(|e| e.to_string())
+    }
+
+    fn checksum(&self, state: &str) -> u32 {
+        let mut digest = CRC_32.digest();
+        digest.update(state.as_bytes());
+        for (name, array) in &self.0 {
+            digest.update(name.as_bytes());
+            // In pieces: the whole would be another copy.
+            for piece in array.values.chunks(1 << 16) {
+                digest.update(&piece.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>());
+            }
+        }
+        digest.finalize()
     }
 
     fn from_bytes(bytes: &[u8]) -> Result<(Self, String), String> {
-        let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| format!("not a safetensors file ({e})"))?;
-        let state =
-            header.metadata().as_ref().and_then(|m| m.get("gadm")).cloned().ok_or("its header has no run state")?;
-        Ok((Self::read(bytes)?, state))
+        let arrays = Self::read(bytes)?;
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| e.to_string())?;
+        let entry = |key: &str| header.metadata().as_ref().and_then(|m| m.get(key));
+        let state = entry("gadm").ok_or("a safetensors file, but not a checkpoint of this program")?.clone();
+        // Files written before there was a checksum have none.
+        if let Some(stored) = entry("crc32")
+            && *stored != arrays.checksum(&state).to_string()
+        {
+            return Err("its checksum is wrong, so the file is damaged".to_owned());
+        }
+        Ok((arrays, state))
     }
 
     fn read(bytes: &[u8]) -> Result<Self, String> {
-        let tensors = SafeTensors::deserialize(bytes).map_err(|e| format!("not a safetensors file ({e})"))?;
+        let tensors = SafeTensors::deserialize(bytes)
+            .map_err(|e| format!("damaged, cut short, or not a safetensors file ({e})"))?;
         let mut arrays = Self::default();
         for (name, view) in tensors.tensors() {
             if view.dtype() != Dtype::F32 {
                 return Err(format!("`{name}` is {:?}, expected F32", view.dtype()));
             }
             let chunks = view.data().chunks_exact(4);
-            let values = chunks.map(|c| f32::from_le_bytes([c[0], c[1], c[2], c[3]])).collect();
+            let values: Vec<f32> = chunks.map(|c| f32::from_le_bytes([c[0], c[1], c[2], c[3]])).collect();
             arrays.put(name, view.shape().to_vec(), values);
         }
         Ok(arrays)
@@ -160,6 +207,12 @@ pub fn path(dir: &Path, name: &str) -> PathBuf {
 fn bad(path: &Path) -> impl Fn(String) -> TrainError {
     let path = path.to_path_buf();
     move |reason| TrainError::Checkpoint { path: path.clone(), reason }
+}
+
+/// For a file that cannot be read back: what is wrong, and what to do.
+fn unusable(path: &Path) -> impl Fn(String) -> TrainError {
+    let bad = bad(path);
+    move |reason| bad(format!("{reason}; put a copy of it in its place, or start a new run in another folder"))
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
@@ -213,16 +266,23 @@ pub fn save(run: &Run, dir: &Path) -> Result<(), TrainError> {
 /// Continues a run from its folder.
 ///
 /// # Errors
-/// [`TrainError::NothingToResume`] without a checkpoint, [`TrainError::Checkpoint`] for a damaged or foreign one.
+/// [`TrainError::NothingToResume`] without a checkpoint, [`TrainError::Checkpoint`] for a damaged or foreign one, with what
+/// to do then.
 pub fn load(dir: &Path) -> Result<Run, TrainError> {
     let file = path(dir, LAST);
     if !file.exists() {
         return Err(TrainError::NothingToResume { path: dir.to_path_buf() });
     }
     let bytes = std::fs::read(&file).map_err(TrainError::io("read", &file))?;
-    let bad = bad(&file);
+    let bad = unusable(&file);
     let (mut arrays, state) = Arrays::from_bytes(&bytes).map_err(&bad)?;
+    drop(bytes);
     let state: RunState = parse(&state).map_err(&bad)?;
+    if state.nsteps.len() != state.config.collect.envs
+        || state.window.code_counts.len() != state.config.action_model.latents
+    {
+        return Err(bad("its run state does not fit its configuration".to_owned()));
+    }
     let mut run = Run::new(state.config)?;
     run.counters = state.counters;
     run.streams = state.streams;
@@ -273,7 +333,8 @@ fn parse<T: serde::de::DeserializeOwned>(state: &str) -> Result<T, String> {
 pub fn save_best(run: &Run, dir: &Path) -> Result<(), TrainError> {
     let mut arrays = Arrays::default();
     arrays.networks(&run.agent);
-    arrays.flat("calibration/obs", &calibration(run));
+    let observations = calibration(run);
+    arrays.flat("calibration/obs", &observations);
     let file = path(dir, BEST);
     let state = BestState { version: VERSION, config: run.config.clone(), counters: run.counters.clone() };
     let state = serde_json::to_string(&state).map_err(|e| bad(&file)(e.to_string()))?;
@@ -282,16 +343,17 @@ pub fn save_best(run: &Run, dir: &Path) -> Result<(), TrainError> {
 
 /// Up to 8,192 observations, evenly spread over the newest half of D_RL (or D_AR before there is any).
 fn calibration(run: &Run) -> Vec<f32> {
-    let (_, columns) = run.d_rl.arrays();
-    let (_, pairs, _) = run.d_ar.arrays();
-    let obs = if columns[0].is_empty() { pairs } else { columns[0] };
+    let (rl_next, columns) = run.d_rl.arrays();
+    let (ar_next, pairs, _) = run.d_ar.arrays();
+    let (next, obs) = if columns[0].is_empty() { (ar_next, pairs) } else { (rl_next, columns[0]) };
     let width = run.envs.spec().obs_dim();
     let rows = obs.len() / width;
     let newest = rows - rows / 2;
     let take = newest.min(CALIBRATION_ROWS);
     (0..take)
         .flat_map(|i| {
-            let row = rows - newest + i * newest / take;
+            // A full buffer's oldest row is the one that is overwritten next.
+            let row = (next + rows - newest + i * newest / take) % rows;
             obs[row * width..(row + 1) * width].iter().copied()
         })
         .collect()
@@ -321,7 +383,7 @@ pub fn load_trained(dir: &Path, best: bool) -> Result<Trained, TrainError> {
         return Ok(Trained { calibration, config: run.config, counters: run.counters, agent: run.agent });
     }
     let bytes = std::fs::read(&file).map_err(TrainError::io("read", &file))?;
-    let bad = bad(&file);
+    let bad = unusable(&file);
     let (mut arrays, state) = Arrays::from_bytes(&bytes).map_err(&bad)?;
     let state: BestState = parse(&state).map_err(&bad)?;
     let spec = gadm_envs::make_with(&state.config.env, &state.config.env_options)?.spec().clone();
@@ -332,33 +394,35 @@ pub fn load_trained(dir: &Path, best: bool) -> Result<Trained, TrainError> {
     Ok(Trained { agent, config: state.config, counters: state.counters, calibration })
 }
 
-/// Saves the batch behind a loss that is not a number.
+/// Saves the batch behind a number that is not finite: every array by name, rows x width.
 ///
 /// # Errors
 /// Where the file cannot be written.
-pub fn save_batch(path: &Path, what: &str, obs: &[f32], actions: &[f32]) -> Result<(), TrainError> {
+pub fn save_batch(path: &Path, found: &NotFinite) -> Result<(), TrainError> {
     let mut arrays = Arrays::default();
-    arrays.flat("obs", obs);
-    arrays.flat("actions", actions);
-    write(path, &arrays.to_bytes(what.to_owned()).map_err(bad(path))?)
+    for (name, width, values) in &found.arrays {
+        arrays.put(*name, vec![values.len() / width, *width], values);
+    }
+    write(path, &arrays.to_bytes(found.what.to_owned()).map_err(bad(path))?)
 }
 
-/// Reads state-action pairs for the warm-up: `obs` (N x `obs_dim`) and `actions` (N x `slots`) from a safetensors file.
+/// Reads state-action pairs for the warm-up: `obs` (N x `obs_dim`) and `actions` (N x `slots`) from a safetensors file. `push`
+/// takes a pair or says what is wrong with it.
 ///
 /// # Errors
-/// [`TrainError::Checkpoint`] with what is missing or has the wrong shape.
+/// [`TrainError::Data`] with what is missing, has the wrong shape or an impossible value.
 pub fn load_pairs(
     path: &Path,
     obs_dim: usize,
     slots: usize,
-    mut push: impl FnMut(&[f32], &[f32]),
+    mut push: impl FnMut(&[f32], &[f32]) -> Result<(), String>,
 ) -> Result<(), TrainError> {
     let bytes = std::fs::read(path).map_err(TrainError::io("read", path))?;
-    let bad = bad(path);
-    let arrays = Arrays::read(&bytes).map_err(&bad)?;
+    let bad = |reason: String| TrainError::Data { path: path.to_path_buf(), reason };
+    let arrays = Arrays::read(&bytes).map_err(bad)?;
     let get = |name: &str, width: usize| match arrays.0.get(name) {
-        Some((shape, values)) if shape.len() == 2 && shape[1] == width => Ok((shape[0], values)),
-        Some((shape, _)) => Err(bad(format!("`{name}` has shape {shape:?}, expected N x {width}"))),
+        Some(Array { shape, values }) if shape.len() == 2 && shape[1] == width => Ok((shape[0], &values[..])),
+        Some(Array { shape, .. }) => Err(bad(format!("`{name}` has shape {shape:?}, expected N x {width}"))),
         None => {
             Err(bad(format!("`{name}` is missing; the file needs `obs` (N x {obs_dim}) and `actions` (N x {slots})")))
         }
@@ -367,9 +431,14 @@ pub fn load_pairs(
     if n != m || n == 0 {
         return Err(bad(format!("{n} observations but {m} actions; expected as many, at least one")));
     }
-    if obs.iter().chain(actions).any(|v| !v.is_finite()) {
-        return Err(bad("it holds numbers that are not finite".to_owned()));
+    for (name, values, width) in [("obs", obs, obs_dim), ("actions", actions, slots)] {
+        if let Some(at) = values.iter().position(|v| !v.is_finite()) {
+            let row = at / width;
+            return Err(bad(format!("`{name}`, row {row}: expected finite numbers, found {}", values[at])));
+        }
     }
-    obs.chunks_exact(obs_dim).zip(actions.chunks_exact(slots)).for_each(|(o, a)| push(o, a));
+    for (row, (o, a)) in obs.chunks_exact(obs_dim).zip(actions.chunks_exact(slots)).enumerate() {
+        push(o, a).map_err(|reason| bad(format!("row {row}: {reason}")))?;
+    }
     Ok(())
 }

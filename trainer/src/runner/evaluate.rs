@@ -177,7 +177,11 @@ pub fn check_fit(policy: &Policy, spec: &EnvSpec) -> Result<(), TrainError> {
     }
     for (i, (a, b)) in policy.action_signals().zip(&spec.actions).enumerate() {
         if a.name != b.name || a.head != b.head {
-            return refuse(&format!("action slot {i}"), format!("{} {:?}", b.name, b.head), format!("{} {:?}", a.name, a.head));
+            return refuse(
+                &format!("action slot {i}"),
+                format!("{} {:?}", b.name, b.head),
+                format!("{} {:?}", a.name, a.head),
+            );
         }
     }
     if policy.spec().control_period_us != spec.control_period_us {

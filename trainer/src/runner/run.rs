@@ -1,6 +1,7 @@
 //! GADM + DQN online (paper, algorithm 1; specification 4.5): the state of a run and one round of it.
 
 use gadm_envs::{VecEnv, make_with};
+use gadm_runtime::space::ActionHead;
 use rand::RngExt as _;
 use serde::{Deserialize, Serialize};
 
@@ -8,6 +9,7 @@ use super::agent::Agent;
 use crate::config::TrainConfig;
 use crate::error::TrainError;
 use crate::metrics::{Record, keys};
+use crate::nn::Params;
 use crate::replay::{ActionBuffer, NStep, RlBatch, RlBuffer};
 use crate::seed::{Rng, SeedTree};
 
@@ -108,15 +110,57 @@ pub struct Run {
     slots: usize,
 }
 
-/// A loss that is not a number, with the batch that gave it.
+/// A loss, gradient or weight that is not a finite number, with the batch that gave it.
 #[derive(Clone, Debug)]
 pub struct NotFinite {
-    /// Which loss.
+    /// Which number.
     pub what: &'static str,
-    /// Observations of the batch.
-    pub obs: Vec<f32>,
-    /// Actions of the batch.
-    pub actions: Vec<f32>,
+    /// The batch: name, numbers per row, values.
+    pub arrays: Vec<(&'static str, usize, Vec<f32>)>,
+}
+
+/// Checks settings that only a run relates to each other.
+fn check(config: &TrainConfig) -> Result<(), TrainError> {
+    let batch = config.round.batch;
+    for (key, capacity) in
+        [("replay.rl_capacity", config.replay.rl_capacity), ("replay.ar_capacity", config.replay.ar_capacity)]
+    {
+        if capacity < batch {
+            return Err(TrainError::config(key, &format!("at least round.batch = {batch}"), capacity));
+        }
+    }
+    if config.action_model.standardise && batch < 2 {
+        return Err(TrainError::config("round.batch", "at least 2 where action_model.standardise is on", batch));
+    }
+    let w = &config.warmup;
+    if w.enabled && w.data.is_none() && config.steps <= w.steps {
+        let expected = format!("above warmup.steps = {}, for nothing is learned before", w.steps);
+        return Err(TrainError::config("steps", &expected, config.steps));
+    }
+    if config.explore.epsilon_decay.is_infinite() {
+        return Err(TrainError::config("explore.epsilon_decay", "a finite number", config.explore.epsilon_decay));
+    }
+    if let Some(target) = config.track.stop_at_return.filter(|t| !t.is_finite()) {
+        return Err(TrainError::config("track.stop_at_return", "a finite number", target));
+    }
+    Ok(())
+}
+
+/// Checks that recorded numbers are an action in the form of the networks.
+fn check_action(heads: &[ActionHead], action: &[f32]) -> Result<(), String> {
+    for (slot, (head, &value)) in heads.iter().zip(action).enumerate() {
+        let (fits, expected) = match *head {
+            ActionHead::Discrete { n } => {
+                (value.fract() == 0.0 && (0.0..f32::from(n)).contains(&value), format!("a whole number below {n}"))
+            }
+            ActionHead::Binary => (value == 0.0 || value == 1.0, "0 or 1".to_owned()),
+            ActionHead::Continuous { .. } => ((-1.0..=1.0).contains(&value), "-1 to 1 (normalised)".to_owned()),
+        };
+        if !fits {
+            return Err(format!("`actions` slot {slot}: expected {expected}, found {value}"));
+        }
+    }
+    Ok(())
 }
 
 impl Run {
@@ -126,6 +170,7 @@ impl Run {
     /// For an unknown environment or impossible settings.
     pub fn new(config: TrainConfig) -> Result<Self, TrainError> {
         config.validate()?;
+        check(&config)?;
         let spec = make_with(&config.env, &config.env_options)?.spec().clone();
         let seeds = SeedTree::new(config.seed);
         let envs = VecEnv::new(&config.env, config.collect.envs, seeds.number("environments"), &config.env_options)?;
@@ -182,8 +227,13 @@ impl Run {
     /// One round: a slice of the warm-up, or collection followed by the phases AR, LACP, RL.
     ///
     /// # Errors
-    /// [`NotFinite`] where a loss is not a number; environment errors.
+    /// [`NotFinite`] where a loss, a gradient or a weight is not a finite number; environment errors.
     pub fn round(&mut self) -> Result<Result<(), NotFinite>, TrainError> {
+        let result = self.slice()?;
+        Ok(result.and_then(|()| self.check_weights()))
+    }
+
+    fn slice(&mut self) -> Result<Result<(), NotFinite>, TrainError> {
         let steps = self.config.collect.steps_per_round / self.config.collect.envs;
         if !self.counters.warm && self.config.warmup.enabled {
             return self.warmup_round(steps);
@@ -223,9 +273,8 @@ impl Run {
         // Slices of about one round's work, so that progress, signals and checkpoints are served in between.
         let slice = 64;
         let confidence_goal = if self.agent.confidence.is_some() { w.confidence_updates } else { 0 };
-        if let Some(path) = w.data.as_ref().filter(|_| self.d_ar.is_empty()) {
-            super::checkpoint::load_pairs(path, self.obs_dim, self.slots, |obs, action| self.d_ar.push(obs, action))?;
-            return Ok(Ok(()));
+        if self.d_ar.is_empty() {
+            self.load_warmup_data()?;
         }
         if w.data.is_none() && self.counters.env_steps < w.steps {
             for _ in 0..steps {
@@ -250,6 +299,22 @@ impl Run {
             }
         }
         Ok(Ok(()))
+    }
+
+    /// Fills D_AR from `warmup.data`, if that is set.
+    ///
+    /// # Errors
+    /// [`TrainError::Data`] for a file that does not fit the environment.
+    pub fn load_warmup_data(&mut self) -> Result<(), TrainError> {
+        let Some(path) = self.config.warmup.data.as_ref().filter(|_| self.config.warmup.enabled) else { return Ok(()) };
+        let (space, d_ar) = (self.agent.model.space(), &mut self.d_ar);
+        super::checkpoint::load_pairs(path, self.obs_dim, self.slots, |obs, action| {
+            check_action(space.heads(), action)?;
+            let mut action = action.to_vec();
+            space.canonicalise(&mut action);
+            d_ar.push(obs, &action);
+            Ok(())
+        })
     }
 
     fn random_step(&mut self) -> Result<(), TrainError> {
@@ -333,15 +398,48 @@ impl Run {
         Ok(())
     }
 
-    fn not_finite(&self, what: &'static str, obs: &[f32], actions: &[f32]) -> NotFinite {
-        NotFinite { what, obs: obs.to_vec(), actions: actions.to_vec() }
+    /// `what` with the pairs of the last batch from D_AR.
+    fn bad_pairs(&self, what: &'static str) -> NotFinite {
+        let arrays = [("obs", self.obs_dim, &self.obs), ("actions", self.slots, &self.actions)];
+        NotFinite { what, arrays: arrays.map(|(name, width, v)| (name, width, v.clone())).to_vec() }
+    }
+
+    /// `what` with the transitions of the last batch from D_RL.
+    fn bad_transitions(&self, what: &'static str) -> NotFinite {
+        let b = &self.batch;
+        let arrays = [
+            ("obs", self.obs_dim, &b.obs),
+            ("actions", self.slots, &b.actions),
+            ("returns", 1, &b.returns),
+            ("bootstrap", 1, &b.bootstrap),
+            ("next_obs", self.obs_dim, &b.next_obs),
+        ];
+        NotFinite { what, arrays: arrays.map(|(name, width, v)| (name, width, v.clone())).to_vec() }
+    }
+
+    /// Weights are looked at after every round, so that no checkpoint holds one that is not finite.
+    fn check_weights(&self) -> Result<(), NotFinite> {
+        let finite = |params: &Params| params.with(|p| p.iter().all(|v| v.is_finite()));
+        if !finite(&self.agent.model.params) {
+            return Err(self.bad_pairs("a weight of the action model"));
+        }
+        if self.agent.confidence.as_ref().is_some_and(|c| !finite(&c.params)) {
+            return Err(self.bad_pairs("a weight of the confidence predictor"));
+        }
+        if !finite(&self.agent.dqn.params) {
+            return Err(self.bad_transitions("a weight of the Q-network"));
+        }
+        Ok(())
     }
 
     fn update_action_model(&mut self) -> Result<(), NotFinite> {
         self.d_ar.sample(self.config.round.batch, &mut self.streams.sample_ar, &mut self.obs, &mut self.actions);
         let m = self.agent.model.update(&self.obs, &self.actions);
         if !m.loss.is_finite() {
-            return Err(self.not_finite("action-model loss", &self.obs, &self.actions));
+            return Err(self.bad_pairs("action-model loss"));
+        }
+        if !m.grad_norm.is_finite() {
+            return Err(self.bad_pairs("gradient of the action model"));
         }
         self.counters.action_updates += 1;
         for &code in self.agent.model.training_codes() {
@@ -362,7 +460,7 @@ impl Run {
         let loss = self.agent.confidence.as_mut().map_or(0.0, |c| c.update(&self.obs, &codes));
         self.codes = codes;
         if !loss.is_finite() {
-            return Err(self.not_finite("confidence loss", &self.obs, &self.actions));
+            return Err(self.bad_pairs("confidence loss"));
         }
         self.counters.confidence_updates += 1;
         self.agent.confidence_updates = self.counters.confidence_updates;
@@ -386,7 +484,10 @@ impl Run {
         let m = self.agent.dqn.update(&self.batch, &codes, &allowed);
         self.codes = codes;
         if !m.loss.is_finite() {
-            return Err(self.not_finite("Q loss", &self.batch.obs, &self.batch.actions));
+            return Err(self.bad_transitions("Q loss"));
+        }
+        if !m.grad_norm.is_finite() {
+            return Err(self.bad_transitions("gradient of the Q-network"));
         }
         self.counters.q_updates += 1;
         self.window.add(keys::Q_LOSS, f64::from(m.loss));

@@ -84,9 +84,15 @@ fn open(options: &TrainOptions) -> Result<(Run, Sinks), TrainError> {
                     detail: first_difference(&run.config, &same),
                 });
             }
-            run.config.steps = config.steps;
+            if config.steps != run.config.steps {
+                run.config.steps = config.steps;
+                let text = to_toml(&run.config).map_err(TrainError::ConfigFile)?;
+                atomic::write(&dir.join(CONFIG_FILE), text.as_bytes()).map_err(TrainError::Write)?;
+            }
         }
-        atomic::remove_leftovers(&dir.join(checkpoint::FOLDER)).map_err(TrainError::io("clean up", dir))?;
+        for folder in [dir.clone(), dir.join(checkpoint::FOLDER)] {
+            atomic::remove_leftovers(&folder).map_err(TrainError::io("clean up", folder))?;
+        }
         let step = run.counters.env_steps;
         let sinks = Sinks {
             jsonl: JsonlSink::resume(dir, step).map_err(metrics_error)?,
@@ -95,17 +101,21 @@ fn open(options: &TrainOptions) -> Result<(Run, Sinks), TrainError> {
         return Ok((run, sinks));
     }
     let config = options.config.clone().unwrap_or_default();
-    let run = Run::new(config)?;
+    let mut run = Run::new(config)?;
     if dir.exists() && std::fs::read_dir(dir).map_err(TrainError::io("read", dir))?.next().is_some() {
         return Err(TrainError::RunExists { path: dir.clone() });
     }
-    std::fs::create_dir_all(dir.join(checkpoint::FOLDER)).map_err(TrainError::io("create", dir))?;
+    // Everything that can be refused is refused before the folder exists, so that the command can be repeated.
+    run.load_warmup_data()?;
     let text = to_toml(&run.config).map_err(TrainError::ConfigFile)?;
+    std::fs::create_dir_all(dir.join(checkpoint::FOLDER)).map_err(TrainError::io("create", dir))?;
     atomic::write(&dir.join(CONFIG_FILE), text.as_bytes()).map_err(TrainError::Write)?;
     let sinks = Sinks {
         jsonl: JsonlSink::create(dir).map_err(metrics_error)?,
         tensorboard: TensorBoardSink::create(dir, unix_time()).map_err(metrics_error)?,
     };
+    // A run killed before its first regular checkpoint can be resumed too, and a folder that takes none is noticed now.
+    checkpoint::save(&run, dir)?;
     Ok((run, sinks))
 }
 
@@ -223,7 +233,7 @@ fn evaluate_run(run: &mut Run, record: &mut Record) -> Result<Evaluation, TrainE
 
 fn stopped(run: &Run, dir: &Path, bad: &NotFinite) -> Result<TrainError, TrainError> {
     let batch = dir.join("not-finite.safetensors");
-    checkpoint::save_batch(&batch, bad.what, &bad.obs, &bad.actions)?;
+    checkpoint::save_batch(&batch, bad)?;
     Ok(TrainError::NotFinite {
         what: bad.what.to_owned(),
         env_step: run.counters.env_steps,

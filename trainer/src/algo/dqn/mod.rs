@@ -65,7 +65,7 @@ impl Dqn {
     /// A fresh network for `latents` actions; `batch` is the largest number of rows per call.
     ///
     /// # Errors
-    /// [`TrainError::Config`] for an empty trunk, no head, or a discount outside 0..=1.
+    /// [`TrainError::Config`] for an empty trunk or layer, no head, or a discount, target share or step size out of range.
     pub fn new(
         config: DqnConfig,
         obs_dim: usize,
@@ -73,9 +73,16 @@ impl Dqn {
         batch: usize,
         rng: &mut Rng,
     ) -> Result<Self, TrainError> {
-        let Some(&width) = config.hidden.last() else {
-            return Err(TrainError::config("dqn.hidden", "at least one width", "[]"));
+        let Some(&width) = config.hidden.last().filter(|_| !config.hidden.contains(&0)) else {
+            let found = format!("{:?}", config.hidden);
+            return Err(TrainError::config("dqn.hidden", "one width or more, each at least 1", found));
         };
+        config.adam.validate("dqn.adam")?;
+        if let TargetUpdate::Soft { tau } = config.target
+            && !(tau > 0.0 && tau <= 1.0)
+        {
+            return Err(TrainError::config("dqn.target.tau", "above 0 and at most 1", tau));
+        }
         if config.heads == 0 {
             return Err(TrainError::config("dqn.heads", "at least 1", 0));
         }

@@ -83,7 +83,7 @@ impl Confidence {
     /// A near-uniform predictor for `latents` codes; `batch` is the largest number of rows per call.
     ///
     /// # Errors
-    /// [`TrainError::Config`] for a threshold outside (0, K) or a negative focal exponent.
+    /// [`TrainError::Config`] for a threshold outside (0, K), a negative focal exponent, an empty layer or a bad step size.
     pub fn new(
         config: ConfidenceConfig,
         obs_dim: usize,
@@ -98,9 +98,14 @@ impl Confidence {
                 config.threshold,
             ));
         }
-        if config.focal_gamma < 0.0 {
+        if !(config.focal_gamma.is_finite() && config.focal_gamma >= 0.0) {
             return Err(TrainError::config("confidence.focal_gamma", "0 or more", config.focal_gamma));
         }
+        if config.hidden.contains(&0) {
+            let found = format!("{:?}", config.hidden);
+            return Err(TrainError::config("confidence.hidden", "widths of at least 1", found));
+        }
+        config.adam.validate("confidence.adam")?;
         let mut layout = ParamLayout::new();
         let mut width = obs_dim;
         let mut layers = Vec::new();

@@ -6,7 +6,7 @@ use std::ops::Range;
 use super::codetable::{Codetable, bisection};
 use super::config::{ActionModelConfig, Fusion};
 use super::loss::{Reconstruction, ReconstructionLoss};
-use crate::action_space::ActionSpace;
+use crate::action_space::{ActionSpace, ContinuousHead};
 use crate::error::TrainError;
 use crate::nn::{Adam, DenseParams, Graph, Init, ParamLayout, Params, Slot, Workspace, declare_dense};
 use crate::seed::Rng;
@@ -185,7 +185,8 @@ impl ActionModel {
     /// A fresh model for observations of `obs_dim` numbers.
     ///
     /// # Errors
-    /// [`TrainError::Config`] for fewer than two latents or a one-hot table with D < K.
+    /// [`TrainError::Config`] for fewer than two latents or atoms, a one-hot table with D < K, or a weight or step size out of
+    /// range.
     pub fn new(
         config: ActionModelConfig,
         obs_dim: usize,
@@ -207,6 +208,21 @@ impl ActionModel {
         if config.hidden == 0 {
             return Err(TrainError::config("action_model.hidden", "at least 1", 0));
         }
+        if let ContinuousHead::Categorical { atoms, .. } = config.head
+            && atoms < 2
+        {
+            return Err(TrainError::config("action_model.head.atoms", "at least 2", atoms));
+        }
+        for (key, value) in [
+            ("action_model.commitment", config.commitment),
+            ("action_model.continuous_weight", config.continuous_weight),
+            ("action_model.two_hot_weight", config.two_hot_weight),
+        ] {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(TrainError::config(key, "0 or more", value));
+            }
+        }
+        config.adam.validate("action_model.adam")?;
         let mut layout = ParamLayout::new();
         let layers = declare(&config, obs_dim, &space, &mut layout);
         let mut params = Params::init(layout, rng)?;

@@ -1,0 +1,134 @@
+//! `gadm eval`.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Context as _;
+use gadm_envs::EnvOptions;
+use gadm_runtime::Policy;
+use gadm_runtime::encode::AlignedImage;
+use gadm_trainer::TrainError;
+use gadm_trainer::runner::checkpoint::load_trained;
+use gadm_trainer::runner::{Evaluation, evaluate, evaluate_policy};
+use serde::Serialize;
+
+use super::{CRITERIA_MISSED, print_json, say};
+
+const EXAMPLES: &str = "\
+Examples:
+  gadm eval runs/hopper-v5-seed0 --episodes 100
+  gadm eval models/hopper-v5/policy.bin --episodes 20 --seed 7 --json
+
+A run folder is evaluated with its float networks, a policy file in the device runtime. The
+same seed gives both, and `gadm-sim run`, the same episodes.";
+
+/// Arguments of `eval`.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// Run folder or policy file
+    path: PathBuf,
+    /// Number of episodes
+    #[arg(long, default_value_t = 20, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    episodes: u32,
+    /// Seed of the episodes
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    seed: u64,
+    /// Environment [default: the one it was trained in]
+    #[arg(long, value_name = "ENV")]
+    env: Option<String>,
+    /// Of a run: the last networks instead of those of its best evaluation
+    #[arg(long)]
+    last: bool,
+    /// Exit with 3 where the mean return is below X
+    #[arg(long, value_name = "X", allow_negative_numbers = true)]
+    min_return: Option<f64>,
+    /// Print the result as JSON on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+/// The result, for programs.
+#[derive(Serialize)]
+struct Output<'a> {
+    version: u32,
+    path: &'a PathBuf,
+    kind: &'static str,
+    env: String,
+    seed: u64,
+    episodes: usize,
+    mean: f64,
+    sd: f64,
+    success_rate: Option<f64>,
+    latents_used: usize,
+    returns: &'a [f64],
+    lengths: &'a [u64],
+    latent_counts: &'a [u64],
+}
+
+fn run(args: &Args) -> anyhow::Result<(&'static str, String, Evaluation)> {
+    let episodes = args.episodes as usize;
+    if args.path.is_dir() {
+        let mut trained = load_trained(&args.path, !args.last)?;
+        let env = args.env.clone().unwrap_or_else(|| trained.config.env.clone());
+        if env != trained.config.env {
+            let own = gadm_envs::make(&trained.config.env)?.spec().clone();
+            let other = gadm_envs::make(&env)?.spec().clone();
+            if own.observations != other.observations || own.actions != other.actions {
+                return Err(TrainError::Policy(format!(
+                    "{} was trained in `{}`; `{env}` has other observations or actions",
+                    args.path.display(),
+                    trained.config.env
+                ))
+                .into());
+            }
+        }
+        let options = trained.config.env_options;
+        return Ok(("float", env.clone(), evaluate(&mut trained.agent, &env, &options, episodes, args.seed)?));
+    }
+    let bytes = std::fs::read(&args.path)
+        .with_context(|| format!("cannot read {}: give a run folder or a policy file", args.path.display()))?;
+    let image = AlignedImage::new(&bytes);
+    let policy = Policy::load(&image).map_err(|e| anyhow::anyhow!("{}: {e}", args.path.display()))?;
+    let env = args.env.clone().unwrap_or_else(|| policy.provenance().environment.to_owned());
+    let evaluation = evaluate_policy(&bytes, &env, &EnvOptions::default(), episodes, args.seed)?;
+    Ok(("policy file", env, evaluation))
+}
+
+/// Runs `eval`.
+pub fn main(args: &Args) -> anyhow::Result<ExitCode> {
+    let (kind, env, evaluation) = run(args)?;
+    let n = evaluation.returns.len();
+    let used = evaluation.latent_counts.iter().filter(|c| **c > 0).count();
+    let success_rate = evaluation.successes.map(|s| s as f64 / n as f64);
+    say(&format!(
+        "{env} ({kind}): return {:.2} ± {:.2} over {n} episodes, seed {}{}; {used} of {} latents used",
+        evaluation.mean(),
+        evaluation.sd(),
+        args.seed,
+        success_rate.map_or_else(String::new, |s| format!(", {:.1} % in the goal", 100.0 * s)),
+        evaluation.latent_counts.len()
+    ));
+    if args.json {
+        print_json(&Output {
+            version: 1,
+            path: &args.path,
+            kind,
+            env,
+            seed: args.seed,
+            episodes: n,
+            mean: evaluation.mean(),
+            sd: evaluation.sd(),
+            success_rate,
+            latents_used: used,
+            returns: &evaluation.returns,
+            lengths: &evaluation.lengths,
+            latent_counts: &evaluation.latent_counts,
+        })?;
+    }
+    if args.min_return.is_some_and(|least| evaluation.mean() < least) {
+        say(&format!("missed: mean return {:.2} is below {}", evaluation.mean(), args.min_return.unwrap_or_default()));
+        return Ok(ExitCode::from(CRITERIA_MISSED));
+    }
+    Ok(ExitCode::SUCCESS)
+}

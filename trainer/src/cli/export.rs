@@ -1,0 +1,183 @@
+//! `gadm export`.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use gadm_runtime::Policy;
+use gadm_runtime::encode::AlignedImage;
+use gadm_trainer::atomic;
+use gadm_trainer::card::ReturnStats;
+use gadm_trainer::config::builtin::builtin;
+use gadm_trainer::config::resolve::resolve;
+use gadm_trainer::config::{Layer, TrainConfig};
+use gadm_trainer::export::{ExportOptions, Exported, Limits, export, make_card, parts_of};
+use gadm_trainer::metrics::{keys, read_jsonl};
+
+use super::{CRITERIA_MISSED, print_json, say};
+
+const EXAMPLES: &str = "\
+Examples:
+  gadm export runs/hopper-v5-seed0 -o policy.bin
+  gadm export runs/hopper-v5-seed0 -o policy.bin --episodes 100 --sil sil.json
+  gadm export runs/hopper-v5-seed0 -o policy-f32.bin --float
+
+Writes the policy file, and card.toml and card.md beside it. Exit code 3, and nothing
+written, where the file is too far from the float networks; the limits can be changed.";
+
+/// Arguments of `export`.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// Run folder
+    run: PathBuf,
+    /// Policy file to write
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Episodes of the comparison float against file
+    #[arg(long, default_value_t = 20, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    episodes: u32,
+    /// Seed of the comparison's episodes
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    seed: u64,
+    /// The last networks instead of those of the best evaluation
+    #[arg(long)]
+    last: bool,
+    /// f32 weights, for targets with a floating-point unit
+    #[arg(long)]
+    float: bool,
+    /// Sequence number; of two policies on a device the higher one is newer
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    sequence: u32,
+    /// Result of `gadm-sim run --json` with this policy, for the card
+    #[arg(long, value_name = "FILE")]
+    sil: Option<PathBuf>,
+    /// Least share of observations on which both choose the same latent
+    #[arg(long, default_value_t = Limits::default().agreement, value_name = "SHARE", help_heading = "Limits")]
+    min_agreement: f64,
+    /// Largest mean action error, as a share of the range
+    #[arg(long, default_value_t = Limits::default().action_error, value_name = "SHARE", help_heading = "Limits")]
+    max_action_error: f64,
+    /// Largest loss of mean return, as a share of the float return
+    #[arg(long, default_value_t = Limits::default().return_loss, value_name = "SHARE", help_heading = "Limits")]
+    max_return_loss: f64,
+    /// Write even where a limit is missed
+    #[arg(long, help_heading = "Limits")]
+    force: bool,
+    /// Print the comparison as JSON on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+/// The command that makes this run again: short where the built-in configuration and the seed explain it.
+fn command(config: &TrainConfig) -> String {
+    let steps = config.steps;
+    let short = format!("gadm train --env {} --seed {} --steps {steps}", config.env, config.seed);
+    let explained = builtin(&config.env).is_some_and(|text| {
+        let layers = [
+            Layer::Toml { origin: config.env.clone(), text: text.to_owned() },
+            Layer::Set(format!("seed={}", config.seed)),
+            Layer::Set(format!("steps={steps}")),
+        ];
+        resolve::<TrainConfig>(&layers).is_ok_and(|c| c == *config)
+    });
+    if explained {
+        short
+    } else {
+        format!("gadm train --config config.toml --seed {} (configuration below)", config.seed)
+    }
+}
+
+/// Seconds the run trained until the exported networks were stored.
+fn wall_time_s(run: &Path, env_steps: u64) -> f64 {
+    let records = read_jsonl(&run.join("timing.jsonl")).unwrap_or_default();
+    let until = records.iter().filter(|(step, _)| *step <= env_steps);
+    until.filter_map(|(_, values)| values.get(keys::WALL_S)).fold(0.0, |m, &v| f64::max(m, v))
+}
+
+fn sil_stats(path: &Path) -> anyhow::Result<ReturnStats> {
+    let text = std::fs::read_to_string(path).map_err(|e| anyhow::anyhow!("cannot read {}: {e}", path.display()))?;
+    let (returns, seed) = super::report::sil_returns(&text)
+        .ok_or_else(|| anyhow::anyhow!("{} is no result of `gadm-sim run --json`", path.display()))?;
+    ReturnStats::of(&returns, seed).ok_or_else(|| anyhow::anyhow!("{} holds no episode", path.display()))
+}
+
+fn table(exported: &Exported) -> anyhow::Result<()> {
+    let image = AlignedImage::new(&exported.bytes);
+    let policy = Policy::load(&image).map_err(|e| anyhow::anyhow!("{e}"))?;
+    let (float, device) = (&exported.float, &exported.device);
+    say(&format!(
+        "float networks   return {:10.2} ± {:.2}  ({} episodes)",
+        float.mean(),
+        float.sd(),
+        float.returns.len()
+    ));
+    say(&format!("policy file      return {:10.2} ± {:.2}  (same episodes)", device.mean(), device.sd()));
+    let p = exported.parity;
+    say(&format!(
+        "same latent on {:.2} % of {} observations; action error where they agree: mean {:.5}, largest {:.5} of the range",
+        100.0 * p.argmax_agreement,
+        p.samples,
+        p.action_error_mean,
+        p.action_error_max
+    ));
+    say("bytes by part:");
+    for (name, bytes) in parts_of(&policy.section_sizes()).into_iter().filter(|(_, b)| *b > 0) {
+        say(&format!("  {name:22} {bytes:>9}"));
+    }
+    say(&format!("  {:22} {:>9}", "total", exported.bytes.len()));
+    let used = device.latent_counts.iter().filter(|c| **c > 0).count();
+    say(&format!(
+        "{} multiply-accumulates a step, {} bytes of scratch memory, {used} of {} latents used",
+        policy.spec().macs,
+        4 * policy.spec().scratch_words,
+        policy.spec().num_latents
+    ));
+    Ok(())
+}
+
+/// Runs `export`.
+pub fn main(args: &Args) -> anyhow::Result<ExitCode> {
+    let sil = args.sil.as_deref().map(sil_stats).transpose()?;
+    let exported = export(
+        &args.run,
+        &ExportOptions {
+            best: !args.last,
+            episodes: args.episodes as usize,
+            seed: args.seed,
+            float_weights: args.float,
+            policy_seq: args.sequence,
+        },
+    )?;
+    table(&exported)?;
+    let limits = Limits {
+        agreement: args.min_agreement,
+        action_error: args.max_action_error,
+        return_loss: args.max_return_loss,
+    };
+    let missed = limits.missed(&exported);
+    if args.json {
+        print_json(&serde_json::json!({
+            "version": 1,
+            "policy": args.output,
+            "bytes": exported.bytes.len(),
+            "float": { "mean": exported.float.mean(), "sd": exported.float.sd(), "returns": exported.float.returns },
+            "device": { "mean": exported.device.mean(), "sd": exported.device.sd(), "returns": exported.device.returns },
+            "parity": exported.parity,
+            "missed": missed,
+        }))?;
+    }
+    missed.iter().for_each(|m| say(&format!("missed: {m}")));
+    if !missed.is_empty() && !args.force {
+        say("nothing written: train longer, change the limits, or write it all the same with --force");
+        return Ok(ExitCode::from(CRITERIA_MISSED));
+    }
+    let name = args.output.file_name().map_or_else(|| "policy.bin".into(), |n| n.to_string_lossy());
+    let wall = wall_time_s(&args.run, exported.env_steps);
+    let card = make_card(&exported, &name, &command(&exported.config), wall, args.seed, sil)?;
+    atomic::write(&args.output, &exported.bytes)?;
+    atomic::write(&args.output.with_file_name("card.toml"), card.to_toml()?.as_bytes())?;
+    atomic::write(&args.output.with_file_name("card.md"), card.to_markdown().as_bytes())?;
+    say(&format!("wrote {}, card.toml and card.md beside it", args.output.display()));
+    say(&format!("next: gadm-sim run {}", args.output.display()));
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,117 @@
+//! The command line. People read standard error, programs standard output; this is the only place that prints.
+
+mod doctor;
+mod env;
+mod eval;
+mod export;
+mod inspect;
+mod plot;
+mod report;
+mod train;
+
+use std::io::Write as _;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use gadm_envs::EnvError;
+use gadm_trainer::TrainError;
+use serde::Serialize;
+
+/// A criterion was missed.
+pub const CRITERIA_MISSED: u8 = 3;
+/// Something this needs is not on the machine.
+const ENVIRONMENT_LACKING: u8 = 4;
+
+const EXIT_CODES: &str = "Exit codes: 0 ok, 1 error, 2 usage, 3 criteria missed, 4 something is missing here,\n\
+                          130 interrupted (the run can be resumed).";
+
+#[derive(Parser)]
+#[command(name = "gadm", version, max_term_width = 90, after_help = EXIT_CODES)]
+/// Learns control policies with discrete latent actions, and exports them for microcontrollers
+struct Cli {
+    /// Less on standard error: -q no progress, errors remain
+    #[arg(short, long, global = true)]
+    quiet: bool,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Train a policy in a run folder, or continue one
+    Train(train::Args),
+    /// Measure the return of a run or of a policy file
+    Eval(eval::Args),
+    /// Turn a run into a policy file for the device
+    Export(export::Args),
+    /// Show what is in a policy file
+    Inspect(inspect::Args),
+    /// Draw learning curves
+    Plot(plot::Args),
+    /// Write the HTML report of a run
+    Report(report::Args),
+    /// List environments, check them against recordings
+    #[command(subcommand)]
+    Env(env::Command),
+    /// Say what this machine can do, and how to get the rest
+    Doctor(doctor::Args),
+}
+
+/// Runs the program.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let level = if cli.quiet { "warn" } else { "info" };
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| level.into());
+    tracing_subscriber::fmt()
+        .with_writer(std::io::stderr)
+        .with_env_filter(filter)
+        .without_time()
+        .with_target(false)
+        .with_level(false)
+        .with_ansi(false)
+        .init();
+    let done = match cli.command {
+        Command::Train(args) => train::main(args, cli.quiet),
+        Command::Eval(args) => eval::main(&args),
+        Command::Export(args) => export::main(&args),
+        Command::Inspect(args) => inspect::main(&args),
+        Command::Plot(args) => plot::main(&args),
+        Command::Report(args) => report::main(&args),
+        Command::Env(command) => env::main(&command),
+        Command::Doctor(args) => doctor::main(&args),
+    };
+    match done {
+        Ok(code) => code,
+        Err(error) => {
+            // A reader that went away (`gadm inspect … | head`) is no error.
+            let gone =
+                error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe);
+            if gone {
+                return ExitCode::SUCCESS;
+            }
+            say(&format!("error: {error:#}"));
+            let lacking = |e: &EnvError| matches!(e, EnvError::Feature { .. });
+            let env = error.downcast_ref::<EnvError>().is_some_and(lacking)
+                || matches!(error.downcast_ref(), Some(TrainError::Env(e)) if lacking(e));
+            if env { ExitCode::from(ENVIRONMENT_LACKING) } else { ExitCode::FAILURE }
+        }
+    }
+}
+
+/// One line for people.
+fn say(text: &str) {
+    // Nobody is left to be told about a closed standard error.
+    let _ = writeln!(std::io::stderr(), "{text}");
+}
+
+/// Text for programs, or the answer that was asked for.
+fn print(text: &str) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{text}")?;
+    Ok(())
+}
+
+/// JSON for programs.
+fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
+    print(&serde_json::to_string_pretty(value)?)
+}
