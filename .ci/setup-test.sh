@@ -1,0 +1,82 @@
+#!/bin/sh
+# Tests what `setup.sh` says when something is missing, in a scratch project with stand-ins for all programs: every
+# failure is one line on stderr with the fix, and exit 4.
+set -eu
+
+here=$(cd "$(dirname "$0")" && pwd -P)
+scratch=$(mktemp -d)
+trap 'rm -rf "$scratch"' EXIT
+failures=0
+bin=$scratch/bin
+
+# A project folder (with a space), and a PATH that holds only what the script may use, all prerequisites met.
+prepare() {
+    rm -rf "$scratch/a project" "$bin"
+    mkdir -p "$scratch/a project/.ci" "$bin"
+    cp "$here/setup.sh" "$scratch/a project/.ci/"
+    cp "$here/../rust-toolchain.toml" "$scratch/a project/"
+    stub "$scratch/a project/.ci/mujoco.sh" 'exit 0'
+    for tool in sh cat cut dirname grep head mktemp printf rm sed sort tail; do
+        ln -s "$(command -v "$tool")" "$bin/$tool"
+    done
+    stub "$bin/cc" 'exit 0'
+    stub "$bin/cargo" 'exit 0'
+    stub "$bin/rustc" 'echo "rustc 1.95.0 (hash date)"'
+    # Remembers what it was asked to install; has the toolchain, and one target less than needed.
+    stub "$bin/rustup" '
+        case "$1 $2" in
+        "toolchain list") echo "1.95.0-x86_64-unknown-linux-gnu (active)" ;;
+        "target list") printf "thumbv7em-none-eabihf\nthumbv7m-none-eabi\nthumbv8m.main-none-eabihf\n" ;;
+        "component list") printf "clippy-x86_64-unknown-linux-gnu\nrustfmt-x86_64-unknown-linux-gnu\n" ;;
+        "toolchain install") echo "$@" >"'"$scratch"'/asked" ;;
+        esac'
+}
+
+stub() {
+    printf '#!/bin/sh\n%s\n' "$2" >"$1"
+    chmod +x "$1"
+}
+
+# expect NAME CODE TEXT: runs the script; its last line on stderr must hold TEXT, and a failure must be one line.
+expect() {
+    code=0
+    env -u RUSTUP_TOOLCHAIN -u GADM_CC PATH="$bin" "$scratch/a project/.ci/setup.sh" 2>"$scratch/err" || code=$?
+    lines=$(grep -c '' "$scratch/err" || true)
+    if [ "$code" != "$2" ] || { [ -n "$3" ] && ! tail -n 1 "$scratch/err" | grep -q "$3"; } || [ "$lines" -gt 2 ]; then
+        echo "FAILED: $1 (exit $code): $(cat "$scratch/err")"
+        failures=$((failures + 1))
+    else
+        echo "ok: $1"
+    fi
+}
+
+prepare && rm "$bin/cc"
+expect "no C compiler" 4 "no C compiler (cc).*apt-get install build-essential"
+
+prepare && rm "$bin/cargo"
+expect "no cargo" 4 "cargo not found; install Rust from https://rustup.rs"
+
+prepare && stub "$scratch/a project/.ci/mujoco.sh" 'echo "mujoco: python3 not found; install it" >&2; exit 4'
+expect "no python3" 4 "python3 not found; install it"
+
+prepare
+expect "a target is missing and comes" 0 "lacks: riscv32imac-unknown-none-elf; installing"
+if ! grep -q "^toolchain install 1.95.0 .*--component clippy .*--target riscv32imac-unknown-none-elf" "$scratch/asked"; then
+    echo "FAILED: rustup was asked: $(cat "$scratch/asked")"
+    failures=$((failures + 1))
+fi
+
+prepare && stub "$bin/rustup" '
+    case "$1 $2" in
+    "toolchain list") echo "1.95.0-x86_64-unknown-linux-gnu (active)" ;;
+    "toolchain install") echo "error: could not download file" >&2; exit 1 ;;
+    esac'
+expect "no network for the targets" 4 "could not install Rust .*error: could not download file.*check the network"
+
+prepare && rm "$bin/rustup" && stub "$bin/rustc" 'echo "rustc 1.63.0"'
+expect "an old Rust without rustup" 4 "rustc 1.63.0 is older than"
+
+prepare && rm "$bin/rustup"
+expect "a Rust without rustup" 0 ""
+
+[ "$failures" = 0 ]

@@ -1,0 +1,205 @@
+#!/usr/bin/env python3
+"""All checks and tests, cheapest first, with a summary of stages and, last, the sum of the tests.
+
+Usage: .ci/test.py [--list | STAGE ...]
+
+A stage that fails does not stop the following ones. In the sum every test counts one, and so does every stage that has
+no tests of its own (format, lints, builds). Exit 0 when nothing failed, else 1; 2 for an unknown stage.
+"""
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+DEVICE = "thumbv7em-none-eabihf"
+DEVICES = [DEVICE, "thumbv7m-none-eabi", "thumbv8m.main-none-eabihf", "riscv32imac-unknown-none-elf"]
+FUZZ_SECONDS = "30"
+
+CARGO_RESULT = re.compile(r"^test result: \w+\. (\d+) passed; (\d+) failed; (\d+) ignored;")
+SCRIPT_RESULT = re.compile(r"^(ok|FAILED): ")
+
+
+def cargo(*words):
+    """A cargo command that refuses to change the lock file. What comes after `--` stays behind `--locked`."""
+    words = list(words)
+    end = words.index("--") if "--" in words else len(words)
+    return ["cargo", *words[:end], "--locked", *words[end:]]
+
+
+def clippy(*words):
+    return cargo("clippy", "--quiet", *words, "--", "-D", "warnings")
+
+
+class Stage:
+    """Commands that run one after the other; the first that fails ends the stage."""
+
+    def __init__(self, name, what, commands, limit_s=600, env=None, needs=None):
+        self.name, self.what, self.commands = name, what, commands
+        self.limit_s, self.env = limit_s, env or {}
+        self.needs = needs  # (program, what to do without it, whether the stage may then be left out)
+        self.passed = self.failed = self.ignored = 0
+        self.state, self.wall_s, self.note = "", 0.0, ""
+
+
+def stages():
+    core = ["-p", "gadm-runtime", "-p", "gadm-node", "--no-default-features"]
+    return [
+        Stage("fmt", "formatting", [["cargo", "fmt", "--all", "--check"]]),
+        Stage("setup", "error messages of the set-up scripts", [[".ci/setup-test.sh"], [".ci/mujoco-test.sh"]]),
+        Stage(
+            "deny",
+            "licences, bans and sources of the dependencies (cargo-deny)",
+            [["cargo-deny", "check", "--config", ".deny.toml", "bans", "licenses", "sources"]],
+            needs=("cargo-deny", "not run: cargo-deny is not installed (cargo install cargo-deny)", True),
+        ),
+        Stage(
+            "devices",
+            "runtime and node built for four microcontrollers",
+            [cargo("build", "--quiet", *core, "--target", target) for target in DEVICES]
+            + [cargo("build", "--quiet", "-p", "gadm-runtime", "--features", "float", "--target", DEVICE)],
+        ),
+        Stage("no-panic", "no panic reachable on a device", [["runtime/tests/no-panic/run.sh"]]),
+        Stage(
+            "runtime",
+            "runtime as a device has it: without features",
+            [cargo("test", "--quiet", "-p", "gadm-runtime", "--no-default-features")],
+        ),
+        Stage(
+            "clippy",
+            "lints: workspace, without MuJoCo, single features, device",
+            [
+                clippy("--workspace", "--all-targets"),
+                clippy("--workspace", "--all-targets", "--no-default-features"),
+                clippy("-p", "gadm-runtime", "--all-targets"),
+                clippy("-p", "gadm-runtime", "--all-targets", "--features", "encode"),
+                clippy("-p", "gadm-runtime", "--all-targets", "--features", "float"),
+                clippy(*core, "--target", DEVICE),
+            ],
+            limit_s=900,
+        ),
+        Stage(
+            "docs",
+            "rustdoc without warnings",
+            [cargo("doc", "--quiet", "--workspace", "--no-deps")],
+            env={"RUSTDOCFLAGS": "-D warnings"},
+        ),
+        Stage(
+            "tests",
+            "all tests and examples of the workspace",
+            [cargo("test", "--workspace", "--no-fail-fast")],
+            limit_s=1500,
+        ),
+        Stage(
+            "fuzz",
+            f"fuzz targets, {FUZZ_SECONDS} s each",
+            [["tests/fuzz/run.sh", FUZZ_SECONDS]],
+            needs=("c++", "no C++ compiler, which builds libFuzzer; install it (Debian: apt-get install g++)", False),
+        ),
+    ]
+
+
+def run_command(stage, command, deadline):
+    """Runs one command with its output on ours, counts test results in it, and returns its exit status."""
+    print(f"$ {' '.join(command)}", flush=True)
+    process = subprocess.Popen(
+        command,
+        cwd=ROOT,
+        env={**os.environ, **stage.env},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+        start_new_session=True,  # so that a hung test dies with its stage
+    )
+
+    def stop(*_):
+        try:
+            os.killpg(process.pid, signal.SIGKILL)
+        except ProcessLookupError:
+            pass
+
+    def too_late(*_):
+        stage.note = f"stopped after {stage.limit_s} s"
+        stop()
+
+    signal.signal(signal.SIGALRM, too_late)
+    signal.alarm(max(1, int(deadline - time.monotonic())))
+    try:
+        for line in process.stdout:
+            sys.stdout.write(line)
+            sys.stdout.flush()
+            if found := CARGO_RESULT.match(line):
+                stage.passed += int(found[1])
+                stage.failed += int(found[2])
+                stage.ignored += int(found[3])
+            elif found := SCRIPT_RESULT.match(line):
+                stage.passed += found[1] == "ok"
+                stage.failed += found[1] == "FAILED"
+        return process.wait()
+    except BaseException:
+        stop()
+        raise
+    finally:
+        signal.alarm(0)
+
+
+def run_stage(stage):
+    print(f"\n== {stage.name}: {stage.what}", flush=True)
+    if stage.needs and not shutil.which(stage.needs[0]):
+        _, stage.note, may_be_left_out = stage.needs
+        stage.state = "not run" if may_be_left_out else "FAILED"
+        stage.failed += not may_be_left_out
+        print(stage.note, flush=True)
+        return
+    start = time.monotonic()
+    code = 0
+    for command in stage.commands:
+        code = run_command(stage, command, start + stage.limit_s)
+        if code != 0:
+            stage.note = stage.note or f"exit {code}: {' '.join(command)}"
+            break
+    stage.wall_s = time.monotonic() - start
+    stage.state = "ok" if code == 0 else "FAILED"
+    if code != 0 and stage.failed == 0:
+        stage.failed = 1
+    elif code == 0 and stage.passed == 0:
+        stage.passed = 1
+
+
+def main(words):
+    known = stages()
+    if words == ["--list"]:
+        for stage in known:
+            print(f"{stage.name:<10} {stage.what}")
+        return 0
+    unknown = [word for word in words if word not in [stage.name for stage in known]]
+    if unknown:
+        print(f"test: no stage `{unknown[0]}`; .ci/test.py --list names them", file=sys.stderr)
+        return 2
+    chosen = [stage for stage in known if not words or stage.name in words]
+    for stage in chosen:
+        run_stage(stage)
+
+    print("\n== summary")
+    for s in chosen:
+        counts = f"{s.passed} passed, {s.failed} failed" + (f", {s.ignored} ignored" if s.ignored else "")
+        print(f"{s.name:<10} {s.state:<8} {s.wall_s:7.1f} s   {counts if s.state != 'not run' else ''}  {s.note}".rstrip())
+    total_s = sum(s.wall_s for s in chosen)
+    failed = sum(s.failed for s in chosen)
+    print(f"{'total':<10} {'FAILED' if failed else 'ok':<8} {total_s:7.1f} s")
+    print(f"{sum(s.passed for s in chosen)} passed, {failed} failed", flush=True)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(sys.argv[1:]))
+    except KeyboardInterrupt:
+        sys.exit(130)

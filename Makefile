@@ -1,0 +1,18 @@
+# Two commands for newcomers: `make demo` and `make test`. Everything they do is in .ci/, one script each.
+.PHONY: help setup demo test
+
+help:
+	@echo "make setup   bring or check what is needed: MuJoCo library, Rust targets (quick when all is there)"
+	@echo "make demo    learn, export and drive InvertedPendulum over the simulated bus; then fly Hopper"
+	@echo "make test    all checks and tests, cheapest first; STAGES=\"fmt clippy\" picks some (.ci/test.py --list)"
+	@echo
+	@echo "Afterwards plain cargo works too: cargo build, cargo test, cargo run --release --bin gadm -- --help"
+
+setup:
+	@.ci/setup.sh
+
+demo: setup
+	@.ci/demo.py
+
+test: setup
+	@.ci/test.py $(STAGES)
