@@ -288,7 +288,7 @@ pub fn load(dir: &Path) -> Result<Run, TrainError> {
     run.streams = state.streams;
     run.window = state.window;
     run.nsteps = state.nsteps;
-    run.envs.restore(&state.envs)?;
+    run.envs.restore(&state.envs).map_err(|e| bad(e.to_string()))?;
     let agent = &mut run.agent;
     agent.confidence_updates = run.counters.confidence_updates;
     agent.mask_statistics = state.mask_statistics;
