@@ -36,8 +36,7 @@ fn trained(config: TrainConfig) -> (Run, Record) {
 
 #[test]
 fn the_warm_up_is_counted_and_its_phases_follow_each_other() {
-    let config = small("moving");
-    let mut run = Run::new(config.clone()).unwrap();
+    let mut run = Run::new(small("pendulum")).unwrap();
     rounds(&mut run, 8);
     let c = &run.counters;
     assert_eq!((c.env_steps, c.action_updates, c.confidence_updates, c.warm), (256, 0, 0, false));
@@ -59,7 +58,7 @@ fn the_warm_up_is_counted_and_its_phases_follow_each_other() {
 
 #[test]
 fn without_a_warm_up_the_first_round_acts_with_the_policy() {
-    let mut config = small("moving");
+    let mut config = small("pendulum");
     config.warmup.enabled = false;
     let mut run = Run::new(config).unwrap();
     rounds(&mut run, 1);

@@ -374,7 +374,7 @@ fn unfit_data_files_are_refused_with_what_was_expected() {
     assert!(matches!(error, TrainError::Data { .. }) && error.to_string().contains("data.safetensors"), "{error}");
 }
 
-/// Observations near the largest float overflow in the first product: no ReLU may hide that from the loss.
+/// Observations near the largest float overflow in the first products, and their variance does even where the loss stays finite.
 #[test]
 fn huge_observations_in_the_data_stop_the_run() {
     let dir = folder();
@@ -385,6 +385,6 @@ fn huge_observations_in_the_data_stop_the_run() {
     config.warmup.data = Some(data);
     let error = start(&dir.path().join("run"), &config).unwrap_err();
     let TrainError::NotFinite { update, batch, .. } = &error else { panic!("{error}") };
-    assert_eq!(*update, 0, "found in the first update");
+    assert!(*update <= 64, "found in the first round, not at update {update}");
     assert!(arrays(batch).0["obs"].1.iter().all(|&bits| f32::from_bits(bits).abs() > 1e38), "the batch shows the cause");
 }
