@@ -126,15 +126,6 @@ impl ActionSpace {
         }
     }
 
-    /// Sets the slots without effect to 0, so that equal actions look equal to the encoder.
-    pub fn canonicalise(&self, action: &mut [f32]) {
-        for slot in 0..action.len() {
-            if !self.counts(action, slot) {
-                action[slot] = 0.0;
-            }
-        }
-    }
-
     /// Writes the encoder's input (`input_width` numbers) for an action.
     pub fn encode(&self, action: &[f32], input: &mut [f32]) {
         let mut at = 0;
@@ -157,8 +148,8 @@ impl ActionSpace {
         }
     }
 
-    /// Writes the action for one row of decoder outputs: argmax of types, sign of switches, tanh or expectation of the rest;
-    /// slots without effect become 0. `snap` switches the snap rule on (evaluation).
+    /// Writes the action for one row of decoder outputs: argmax of types, sign of switches, tanh or expectation of the rest.
+    /// `snap` switches the snap rule on (evaluation).
     pub fn decode(&self, outputs: &[f32], action: &mut [f32], snap: bool) {
         for ((head, range), slot) in self.outputs().zip(action.iter_mut()) {
             let out = &outputs[range];
@@ -171,7 +162,6 @@ impl ActionSpace {
                 }
             };
         }
-        self.canonicalise(action);
     }
 
     /// A uniformly random action: every type, switch and normalised value equally likely.
@@ -183,7 +173,6 @@ impl ActionSpace {
                 ActionHead::Continuous { .. } => rng.random_range(-1.0..=1.0),
             };
         }
-        self.canonicalise(action);
     }
 
     /// Replaces the continuous slots by fair coins in {-1, +1} (extreme Bernoulli noise, specification 4.4).
@@ -193,7 +182,6 @@ impl ActionSpace {
                 *slot = if rng.random_bool(0.5) { 1.0 } else { -1.0 };
             }
         }
-        self.canonicalise(action);
     }
 
     /// The action in native units, as the environment takes it.
@@ -252,13 +240,13 @@ mod tests {
         let space = ActionSpace::new(&spec, ContinuousHead::Tanh, true);
         assert_eq!((space.slots(), space.input_width(), space.output_width()), (3, 5, 5));
         let mut action = [1.0, 0.7, -0.4];
-        space.canonicalise(&mut action);
-        assert_eq!(action, [1.0, 0.0, -0.4], "turning does not use the acceleration");
+        assert!(space.counts(&action, 0) && !space.counts(&action, 1), "turning does not use the acceleration");
+        assert!(space.counts(&action, 2));
         let mut input = [9.0; 5];
         space.encode(&action, &mut input);
-        assert_eq!(input, [0.0, 1.0, 0.0, 0.0, -0.4]);
+        assert_eq!(input, [0.0, 1.0, 0.0, 0.7, -0.4]);
         space.decode(&[0.0, 3.0, 1.0, 5.0, -5.0], &mut action, true);
-        assert_eq!(action[..2], [1.0, 0.0]);
+        assert_eq!(action[0], 1.0);
         assert!((action[2] + 0.999_909).abs() < 1e-5);
     }
 }

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::{Command, ExitCode};
 
-use gadm_trainer::export::machine;
+use gadm_trainer::runner::origin::machine;
 use serde_json::json;
 
 use super::{ENVIRONMENT_LACKING, print, print_json};

@@ -12,6 +12,7 @@ use gadm_trainer::config::resolve::resolve;
 use gadm_trainer::config::{Layer, TrainConfig};
 use gadm_trainer::export::{ExportOptions, Exported, Limits, export, make_card, parts_of};
 use gadm_trainer::metrics::{keys, read_jsonl};
+use gadm_trainer::runner::origin::Origin;
 
 use super::{CRITERIA_MISSED, print_json, say};
 
@@ -173,7 +174,8 @@ pub fn main(args: &Args) -> anyhow::Result<ExitCode> {
     }
     let name = args.output.file_name().map_or_else(|| "policy.bin".into(), |n| n.to_string_lossy());
     let wall = wall_time_s(&args.run, exported.env_steps);
-    let card = make_card(&exported, &name, &command(&exported.config), wall, args.seed, sil)?;
+    let origin = Origin::of_run(&args.run)?;
+    let card = make_card(&exported, &name, &command(&exported.config), wall, &origin, args.seed, sil)?;
     atomic::write(&args.output, &exported.bytes)?;
     atomic::write(&args.output.with_file_name("card.toml"), card.to_toml()?.as_bytes())?;
     atomic::write(&args.output.with_file_name("card.md"), card.to_markdown().as_bytes())?;

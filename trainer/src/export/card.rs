@@ -1,7 +1,5 @@
 //! The card of an exported policy.
 
-use std::process::Command;
-
 use gadm_runtime::Policy;
 use gadm_runtime::encode::AlignedImage;
 use gadm_runtime::space::ActionHead;
@@ -12,33 +10,7 @@ use crate::card::{
 };
 use crate::config::{config_hash, to_toml};
 use crate::error::TrainError;
-
-/// Commit of the working folder's source, with `+dirty` where the tree has changes, or `unknown` outside a repository.
-pub fn source_commit() -> String {
-    let git = |args: &[&str]| {
-        let out = Command::new("git").args(args).output().ok().filter(|o| o.status.success())?;
-        Some(String::from_utf8_lossy(&out.stdout).trim().to_owned())
-    };
-    match git(&["rev-parse", "--short=12", "HEAD"]) {
-        Some(commit) if git(&["status", "--porcelain", "--untracked-files=no"]).is_some_and(|s| s.is_empty()) => commit,
-        Some(commit) => format!("{commit}+dirty"),
-        None => "unknown".to_owned(),
-    }
-}
-
-/// Processor, cores and memory of this machine, as Linux tells them.
-pub fn machine() -> String {
-    let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
-    let field = |text: &str, key: &str| {
-        text.lines().find(|l| l.starts_with(key)).and_then(|l| l.split(':').nth(1)).map(|v| v.trim().to_owned())
-    };
-    let cpu = field(&read("/proc/cpuinfo"), "model name").unwrap_or_else(|| std::env::consts::ARCH.to_owned());
-    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let memory = field(&read("/proc/meminfo"), "MemTotal")
-        .and_then(|v| v.split_whitespace().next()?.parse::<u64>().ok())
-        .map_or_else(String::new, |kib| format!(", {} GiB", kib >> 20));
-    format!("{cpu}, {cores} cores{memory}, {}", std::env::consts::OS)
-}
+use crate::runner::origin::Origin;
 
 /// Names and bytes of a file's parts, in file order.
 pub fn parts_of(sizes: &gadm_runtime::SectionSizes) -> [(&'static str, usize); 12] {
@@ -58,7 +30,7 @@ pub fn parts_of(sizes: &gadm_runtime::SectionSizes) -> [(&'static str, usize); 1
     ]
 }
 
-/// Writes the card of an export. `wall_time_s` is the training's, `command` what was typed.
+/// Writes the card of an export. `wall_time_s` is the training's, `command` what makes it again, `origin` where it trained.
 ///
 /// # Errors
 /// Where the file does not load.
@@ -67,6 +39,7 @@ pub fn make_card(
     file: &str,
     command: &str,
     wall_time_s: f64,
+    origin: &Origin,
     seed: u64,
     sil: Option<ReturnStats>,
 ) -> Result<Card, TrainError> {
@@ -104,12 +77,12 @@ pub fn make_card(
         },
         training: Training {
             command: command.to_owned(),
-            commit: source_commit(),
+            commit: origin.commit.clone(),
             seeds: vec![exported.config.seed],
             env_steps: exported.env_steps,
             updates: exported.updates,
             wall_time_s,
-            machine: machine(),
+            machine: origin.machine.clone(),
             config_hash: config_hash(&exported.config)?,
             config: to_toml(&exported.config)?,
         },

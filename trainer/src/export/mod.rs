@@ -4,7 +4,7 @@ mod card;
 mod fold;
 mod parity;
 
-pub use card::{machine, make_card, parts_of, source_commit};
+pub use card::{make_card, parts_of};
 pub use fold::float_model;
 pub use parity::{Limits, measure};
 
@@ -19,6 +19,7 @@ use crate::card::Parity;
 use crate::config::{TrainConfig, config_hash};
 use crate::error::TrainError;
 use crate::runner::checkpoint::{Trained, load_trained};
+use crate::runner::origin::Origin;
 use crate::runner::{Evaluation, evaluate, evaluate_policy};
 
 /// Self-test vectors stored in a policy.
@@ -84,7 +85,7 @@ pub fn export(dir: &Path, options: &ExportOptions) -> Result<Exported, TrainErro
     let mut model = float_model(&mut trained, &spec)?;
     let float = evaluate(&mut trained.agent, &config.env, &config.env_options, options.episodes, options.seed)?;
     model.provenance.config_hash = config_hash(&config)?;
-    model.provenance.commit = source_commit();
+    model.provenance.commit = Origin::of_run(dir)?.commit;
     model.provenance.eval_seed = options.seed;
     model.provenance.float_return = stats(&float);
     let Trained { calibration, counters, .. } = trained;

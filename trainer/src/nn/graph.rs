@@ -414,13 +414,17 @@ fn column_statistics(matrix: &[f32], batch: usize, width: usize, stats: &mut [f3
     for row in rows() {
         mean.iter_mut().zip(row).for_each(|(m, x)| *m += x);
     }
-    mean.iter_mut().for_each(|m| *m /= batch as f32);
+    for m in mean.iter_mut() {
+        *m /= batch as f32;
+    }
     for row in rows() {
         for ((v, x), m) in var.iter_mut().zip(row).zip(mean.iter()) {
             *v += (x - m) * (x - m);
         }
     }
-    var.iter_mut().for_each(|v| *v /= batch as f32);
+    for v in var {
+        *v /= batch as f32;
+    }
 }
 
 /// Index of the largest value; ties go to the lowest index.

@@ -68,7 +68,9 @@ pub fn evaluate(
     let statistics = agent.mask_statistics;
     while !running.is_empty() {
         batch.clear();
-        running.iter().for_each(|&i| batch.extend_from_slice(&obs[i * obs_dim..(i + 1) * obs_dim]));
+        for &i in &running {
+            batch.extend_from_slice(&obs[i * obs_dim..(i + 1) * obs_dim]);
+        }
         agent.greedy(&batch, running.len(), &mut codes);
         let mut actions = vec![0.0; running.len() * slots];
         agent.model.decode(&batch, &codes, &mut actions, true);

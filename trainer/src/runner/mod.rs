@@ -3,6 +3,7 @@
 pub mod agent;
 pub mod checkpoint;
 pub mod evaluate;
+pub mod origin;
 pub mod progress;
 pub mod run;
 pub mod train;

@@ -310,9 +310,7 @@ impl Run {
         let (space, d_ar) = (self.agent.model.space(), &mut self.d_ar);
         super::checkpoint::load_pairs(path, self.obs_dim, self.slots, |obs, action| {
             check_action(space.heads(), action)?;
-            let mut action = action.to_vec();
-            space.canonicalise(&mut action);
-            d_ar.push(obs, &action);
+            d_ar.push(obs, action);
             Ok(())
         })
     }

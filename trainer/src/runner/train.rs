@@ -60,6 +60,7 @@ fn metrics_error(error: MetricsError) -> TrainError {
     TrainError::Metrics(error)
 }
 
+#[expect(clippy::disallowed_methods, reason = "the time stamps of TensorBoard's events")]
 fn unix_time() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
 }
@@ -110,6 +111,7 @@ fn open(options: &TrainOptions) -> Result<(Run, Sinks), TrainError> {
     let text = to_toml(&run.config).map_err(TrainError::ConfigFile)?;
     std::fs::create_dir_all(dir.join(checkpoint::FOLDER)).map_err(TrainError::io("create", dir))?;
     atomic::write(&dir.join(CONFIG_FILE), text.as_bytes()).map_err(TrainError::Write)?;
+    super::origin::Origin::here().store(dir)?;
     let sinks = Sinks {
         jsonl: JsonlSink::create(dir).map_err(metrics_error)?,
         tensorboard: TensorBoardSink::create(dir, unix_time()).map_err(metrics_error)?,
@@ -129,6 +131,7 @@ fn first_difference(stored: &TrainConfig, given: &TrainConfig) -> String {
 ///
 /// # Errors
 /// Any [`TrainError`]; a usable checkpoint then remains as of the last one written.
+#[expect(clippy::disallowed_methods, reason = "timing metrics")]
 pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
     let (mut run, mut sinks) = open(options)?;
     let start = Instant::now();

@@ -12,6 +12,7 @@ use crate::nn::{Init, ParamLayout};
 
 /// Places and sizes of the heads' parameters.
 #[derive(Clone, Debug)]
+#[expect(clippy::struct_field_names, reason = "the field's term for E")]
 pub struct Heads {
     latents: usize,
     heads: usize,
@@ -97,7 +98,7 @@ impl Heads {
     }
 
     /// Head-averaged advantage layer: `K x width` weights and `K` biases. What the device keeps of the heads.
-    pub fn folded(&self, averages: &Averages) -> (Vec<f32>, Vec<f32>) {
+    pub fn folded(averages: &Averages) -> (Vec<f32>, Vec<f32>) {
         averages.per_latent.clone()
     }
 

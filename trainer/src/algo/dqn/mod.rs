@@ -149,7 +149,7 @@ impl Dqn {
     pub fn folded(&self) -> (&[DenseParams], Vec<f32>, Vec<f32>) {
         let mut averages = Averages::default();
         self.params.with(|p| self.heads.average(p, &mut averages));
-        let (w, b) = self.heads.folded(&averages);
+        let (w, b) = Heads::folded(&averages);
         (&self.layers, w, b)
     }
 

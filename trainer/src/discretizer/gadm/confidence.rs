@@ -50,7 +50,9 @@ pub fn softmax_rows(logits: &mut [f32], k: usize) {
             *v = (*v - top).exp();
             sum += *v;
         }
-        row.iter_mut().for_each(|v| *v /= sum);
+        for v in row {
+            *v /= sum;
+        }
     }
 }
 
@@ -59,7 +61,9 @@ fn focal(logits: &[f32], class: usize, gamma: f32, scale: f32, grad: &mut [f32])
     let cross_entropy = super::loss::cross_entropy(logits, class, 1.0, grad);
     let p = (-cross_entropy).exp().clamp(1e-6, 1.0);
     let factor = (1.0 - p).powf(gamma);
-    grad.iter_mut().for_each(|g| *g *= scale * factor);
+    for g in grad {
+        *g *= scale * factor;
+    }
     factor * cross_entropy
 }
 

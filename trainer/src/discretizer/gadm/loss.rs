@@ -128,7 +128,9 @@ pub fn cross_entropy(logits: &[f32], class: usize, scale: f32, grad: &mut [f32])
         *g = (l - top).exp();
         sum += *g;
     }
-    grad.iter_mut().for_each(|g| *g *= scale / sum);
+    for g in grad.iter_mut() {
+        *g *= scale / sum;
+    }
     grad[class] -= scale;
     sum.ln() + top - logits[class]
 }
