@@ -1,5 +1,7 @@
 //! The switches of Algorithm 1 act as the specification says, seen from outside: buffers, counters and metrics of small runs.
 
+#![allow(clippy::unwrap_used, reason = "tests")]
+
 mod runs;
 
 use std::collections::HashSet;
@@ -10,7 +12,7 @@ use gadm_trainer::algo::dqn::TargetUpdate;
 use gadm_trainer::config::TrainConfig;
 use gadm_trainer::discretizer::gadm::{ActionModel, codetable::Codetable};
 use gadm_trainer::metrics::{Record, keys, read_jsonl};
-use gadm_trainer::runner::{Run, train::evaluation_seed};
+use gadm_trainer::runner::{Run, checkpoint, train::evaluation_seed};
 use gadm_trainer::seed::SeedTree;
 use runs::{arrays, last, small, start, write_arrays};
 
@@ -270,6 +272,23 @@ fn own_limits_terminate_and_added_limits_bootstrap() {
     assert!(one > 0);
 }
 
+/// The observations stored for the export are the newest ones, also where the buffer has wrapped around.
+#[test]
+fn calibration_takes_the_newest_half_by_age() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::create_dir(dir.path().join(checkpoint::FOLDER)).unwrap();
+    let mut run = Run::new(small("pendulum")).unwrap();
+    // Row 120 is overwritten next, so it is the oldest; a row's first number is its age rank.
+    let rank = |row: usize| ((row + 500 - 120) % 500) as f32;
+    let obs: Vec<f32> = (0..500).flat_map(|row| [rank(row), 0.0, 0.0]).collect();
+    let zeros = || vec![0.0; 500];
+    assert!(run.d_rl.restore(120, [obs.clone(), zeros(), zeros(), zeros(), zeros(), obs]));
+    checkpoint::save(&run, dir.path()).unwrap();
+    let calibration = checkpoint::load_trained(dir.path(), false).unwrap().calibration;
+    let ranks: Vec<f32> = calibration.chunks(3).map(|o| o[0]).collect();
+    assert_eq!(ranks, (250..500).map(|r| r as f32).collect::<Vec<_>>());
+}
+
 #[test]
 fn an_episode_shorter_than_the_horizon_is_summed_to_its_end() {
     let mut config = small("pendulum");
@@ -295,7 +314,9 @@ fn evaluation_does_not_disturb_training() {
     let read = |dir: &std::path::Path| {
         let mut records = read_jsonl(&dir.join("run/metrics.jsonl")).unwrap();
         let evaluations = records.iter().filter(|(_, r)| r.contains_key(keys::EVAL_RETURN_MEAN)).count();
-        records.iter_mut().for_each(|(_, r)| r.retain(|key, _| !key.starts_with("eval_")));
+        for (_, values) in &mut records {
+            values.retain(|key, _| !key.starts_with("eval_"));
+        }
         (records, evaluations)
     };
     let ((with, many), (without, few)) = (read(a.path()), read(b.path()));

@@ -78,8 +78,13 @@ fn toy_env_offline_matches_the_latent_action_oracle() {
     let space = ActionSpace::new(&spec, ContinuousHead::Tanh, true);
     // With the default commitment 0.25 the model ends with one latent per state (measured with every fusion): the actions of a
     // state lie so close together that they cost less than the commitment.
-    let config =
-        ActionModelConfig { latents: K, hidden: 64, commitment: 0.01, adam: adam(1e-3), ..ActionModelConfig::default() };
+    let config = ActionModelConfig {
+        latents: K,
+        hidden: 64,
+        commitment: 0.01,
+        adam: adam(1e-3),
+        ..ActionModelConfig::default()
+    };
     let mut model = ActionModel::new(config, 4, space, 256, &mut seeds.stream("model")).unwrap();
     let states: Vec<f32> = data.state.iter().flat_map(|&s| one_hot(s)).collect();
     let (mut obs, mut actions) = (Vec::new(), Vec::new());

@@ -1,6 +1,8 @@
 //! A run is a function of its configuration: the same bytes again, however often it was interrupted; and what happens to a run
 //! folder that is damaged, foreign, full or in the way.
 
+#![allow(clippy::unwrap_used, reason = "tests")]
+
 mod runs;
 
 use std::path::Path;
@@ -10,9 +12,7 @@ use gadm_trainer::TrainError;
 use gadm_trainer::config::TrainConfig;
 use gadm_trainer::metrics::jsonl::{JsonlSink, METRICS_FILE};
 use gadm_trainer::runner::{Run, checkpoint, train};
-use runs::{
-    arrays, assert_same_run, last, metrics, options, resume, small, start, start_and_stop, write_arrays,
-};
+use runs::{arrays, assert_same_run, last, metrics, options, resume, small, start, start_and_stop, write_arrays};
 
 fn folder() -> tempfile::TempDir {
     tempfile::tempdir().unwrap()
@@ -386,5 +386,8 @@ fn huge_observations_in_the_data_stop_the_run() {
     let error = start(&dir.path().join("run"), &config).unwrap_err();
     let TrainError::NotFinite { update, batch, .. } = &error else { panic!("{error}") };
     assert!(*update <= 64, "found in the first round, not at update {update}");
-    assert!(arrays(batch).0["obs"].1.iter().all(|&bits| f32::from_bits(bits).abs() > 1e38), "the batch shows the cause");
+    assert!(
+        arrays(batch).0["obs"].1.iter().all(|&bits| f32::from_bits(bits).abs() > 1e38),
+        "the batch shows the cause"
+    );
 }

@@ -1,5 +1,7 @@
 //! Small runs that end within a second, and what a test reads of their folders.
 #![allow(dead_code, reason = "every test binary uses its own part")]
+#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::result_large_err, reason = "the library's error")]
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
