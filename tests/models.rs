@@ -14,9 +14,9 @@ use gadm_trainer::card::{Card, ReturnStats, verify};
 fn models() -> Vec<(String, PathBuf)> {
     let entries = fs::read_dir(root().join("models")).expect("the folder models is there");
     let mut models: Vec<_> = entries
-        .map(|entry| entry.unwrap())
+        .map(|entry| entry.expect("an entry of the folder can be read"))
         .filter(|entry| entry.path().is_dir())
-        .map(|entry| (entry.file_name().into_string().unwrap(), entry.path()))
+        .map(|entry| (entry.file_name().into_string().expect("names are UTF-8"), entry.path()))
         .collect();
     models.sort();
     models
