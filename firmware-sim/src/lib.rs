@@ -32,13 +32,12 @@ pub mod host;
 pub mod interface;
 pub mod plant_node;
 pub mod result;
-mod seed;
 pub mod sil;
 pub mod target;
 
 pub use bus::load::BitRate;
 pub use error::SimError;
+pub use gadm_envs::episode_seed;
 pub use gadm_node::Profile;
 pub use result::{EpisodeResult, ReturnSummary, RunResult};
-pub use seed::episode_seed;
 pub use sil::{Progress, RunOptions, run, run_with_progress, simulate};

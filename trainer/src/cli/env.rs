@@ -69,9 +69,10 @@ fn list(as_json: bool) -> anyhow::Result<ExitCode> {
         }
     }
     if as_json {
-        print_json(&rows)?
+        print_json(&rows)?;
     } else {
-        print(&text.join("\n"))?
+        print(&text.join("
+"))?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -27,6 +27,7 @@ written, where the file is too far from the float networks; the limits can be ch
 
 /// Arguments of `export`.
 #[derive(clap::Args)]
+#[expect(clippy::struct_excessive_bools, reason = "each is a flag of the command line")]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
     /// Run folder
@@ -167,7 +168,9 @@ pub fn main(args: &Args) -> anyhow::Result<ExitCode> {
             "missed": missed,
         }))?;
     }
-    missed.iter().for_each(|m| say(&format!("missed: {m}")));
+    for m in &missed {
+        say(&format!("missed: {m}"));
+    }
     if !missed.is_empty() && !args.force {
         say("nothing written: train longer, change the limits, or write it all the same with --force");
         return Ok(ExitCode::from(CRITERIA_MISSED));

@@ -44,7 +44,10 @@ pub fn sil_returns(text: &str) -> Option<(Vec<f64>, u64)> {
     Some((returns, value.get("seed")?.as_u64()?))
 }
 
-/// Observations, actions and latents of the first episode of a policy, and how often each latent was chosen.
+/// Periods of the episode figure; more would be a solid block.
+const SHOWN: usize = 200;
+
+/// Observations, actions and latents of the start of the first episode of a policy, and how often each latent was chosen.
 fn fly(bytes: &[u8], seed: u64) -> anyhow::Result<(Vec<Panel>, Vec<u64>, f64)> {
     let image = AlignedImage::new(bytes);
     let policy = Policy::load(&image).map_err(|e| anyhow::anyhow!("{e}"))?;
@@ -57,12 +60,16 @@ fn fly(bytes: &[u8], seed: u64) -> anyhow::Result<(Vec<Panel>, Vec<u64>, f64)> {
     let mut observed = vec![Vec::new(); spec.obs_dim()];
     let mut acted = vec![Vec::new(); spec.action_dim()];
     let mut latents = Vec::new();
+    let mut shown = 0;
     let mut counts = vec![0; usize::from(policy.spec().num_latents)];
     loop {
         let decision = policy.act(&obs, &mut scratch, &mut action).map_err(|e| anyhow::anyhow!("{e}"))?;
-        observed.iter_mut().zip(&obs).for_each(|(s, &o)| s.push(f64::from(o)));
-        acted.iter_mut().zip(&action).for_each(|(s, &a)| s.push(f64::from(a)));
-        latents.push(f64::from(decision.latent));
+        if shown < SHOWN {
+            shown += 1;
+            observed.iter_mut().zip(&obs).for_each(|(s, &o)| s.push(f64::from(o)));
+            acted.iter_mut().zip(&action).for_each(|(s, &a)| s.push(f64::from(a)));
+            latents.push(f64::from(decision.latent));
+        }
         counts[usize::from(decision.latent)] += 1;
         let step = env.step(&action, &mut obs);
         if step.terminated || step.truncated {
@@ -147,12 +154,12 @@ pub fn main(args: &Args) -> anyhow::Result<ExitCode> {
     let (panels, counts, period_s) = fly(&bytes, card.returns.int8.map_or(0, |r| r.seed))?;
     report.figure(
         "One episode of the policy file",
-        episode(&panels, period_s, &PlotOptions::new("First episode").with_size(820, 230))?,
-        "Observations (the first six), actions and latents of the first evaluation episode.",
+        episode(&panels, period_s, &PlotOptions::new("Start of the first episode").with_size(820, 230))?,
+        "Observations (the first six), actions and latents in the first 200 periods of the first evaluation episode.",
     )?;
     report.figure(
         "Latents in use",
-        latent_usage(&counts, &PlotOptions::new("Latents of that episode"))?,
+        latent_usage(&counts, &PlotOptions::new("Latents of the whole episode"))?,
         "How often each latent was chosen.",
     )?;
     let p = card.parity;
