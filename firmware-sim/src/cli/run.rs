@@ -121,6 +121,7 @@ enum Display {
 }
 
 impl Display {
+    #[expect(clippy::disallowed_methods, reason = "the display shows a rate; no result depends on it")]
     fn new(episodes: u64, quiet: bool) -> Self {
         if quiet {
             return Self::Quiet;
@@ -138,6 +139,7 @@ impl Display {
         Self::Lines { started: now, last: now, episodes }
     }
 
+    #[expect(clippy::disallowed_methods, reason = "the display shows a rate; no result depends on it")]
     fn show(&mut self, p: Progress) {
         match self {
             Self::Quiet => {}

@@ -71,8 +71,7 @@ fn list(as_json: bool) -> anyhow::Result<ExitCode> {
     if as_json {
         print_json(&rows)?;
     } else {
-        print(&text.join("
-"))?;
+        print(&text.join("\n"))?;
     }
     Ok(ExitCode::SUCCESS)
 }
