@@ -1,4 +1,5 @@
 //! What people see when something is wrong: each message says what, where, expected and found, and what to do.
+#![allow(clippy::unwrap_used, reason = "a test may fail loudly, its helpers too")]
 
 use std::path::Path;
 use std::process::{Command, Stdio};

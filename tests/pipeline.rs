@@ -1,4 +1,5 @@
 //! The whole path through the two programs, small: train, interrupt, resume, export, inspect, evaluate, drive over the bus, report.
+#![allow(clippy::unwrap_used, reason = "a test may fail loudly, its helpers too")]
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};

@@ -13,7 +13,7 @@ use super::params::{Init, ParamLayout};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Slot(pub(super) usize);
 
-/// Stability constant of [`Op::Standardise`], as in PyTorch's batch normalisation.
+/// Stability constant of the standardisation, as in PyTorch's batch normalisation.
 pub const STANDARDISE_EPS: f32 = 1e-5;
 
 #[derive(Clone, Debug)]
