@@ -79,15 +79,20 @@ fn reconstruction(fusion: Fusion, seed: u64) -> anyhow::Result<[f64; 3]> {
         }
     }
     let mut counts = vec![0_u32; model.num_latents()];
-    codes.iter().for_each(|&c| counts[c as usize] += 1);
+    for &code in &codes {
+        counts[code as usize] += 1;
+    }
     let shares = counts.iter().filter(|c| **c > 0).map(|&c| f64::from(c) / TRANSITIONS as f64);
     let perplexity = shares.map(|p| -p * p.ln()).sum::<f64>().exp();
     Ok([error / f64::from(counted), wrong as f64 / TRANSITIONS as f64, perplexity])
 }
 
+/// Bytes and multiply-accumulates of a policy.
+type Cost = (usize, u32);
+
 /// Environment steps until an evaluation of InvertedPendulum-v5 reaches 950 (None: never), and bytes and multiply-accumulates of
 /// the exported policy (None where it does not fold).
-fn learning(name: &str, seed: u64) -> anyhow::Result<(Option<f64>, Option<(usize, u32)>)> {
+fn learning(name: &str, seed: u64) -> anyhow::Result<(Option<f64>, Option<Cost>)> {
     let env = "inverted-pendulum-v5";
     let layers = [
         Layer::Toml { origin: env.to_owned(), text: builtin(env).unwrap_or_default().to_owned() },
