@@ -107,17 +107,15 @@ impl Input {
         }
         let ranges = input_ranges(model, &firsts, calibration, margin);
         // Fewer bits where a first layer has so many inputs that a row's sum could leave its range.
-        let mut chosen = None;
-        for (bits, allowed) in [(12, 1.0), (11, 1.0), (10, MOST_EXCESS), (9, MOST_EXCESS), (8, f64::INFINITY)] {
+        for (bits, allowed) in [(12, 1.0), (11, 1.0), (10, MOST_EXCESS), (9, MOST_EXCESS)] {
             let input = Self::with_bits(model, &ranges, bits);
             let worst =
                 firsts.iter().map(|layer| excess(&input.fold(layer), Range::input(bits), true)).fold(0.0, f64::max);
             if worst <= allowed {
-                chosen = Some(input);
-                break;
+                return input;
             }
         }
-        chosen.expect("8 bits allow any excess")
+        Self::with_bits(model, &ranges, 8)
     }
 
     fn with_bits(model: &FloatModel, ranges: &[(f64, f64)], bits: u16) -> Self {
