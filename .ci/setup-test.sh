@@ -1,6 +1,6 @@
 #!/bin/sh
 # Tests what `setup.sh` says when something is missing, in a scratch project with stand-ins for all programs: every
-# failure is one line on stderr with the fix, and exit 4.
+# failure is one line on stderr with the fix, and exit 4; the packages of the Cortex-M tests are no reason to fail.
 set -eu
 
 here=$(cd "$(dirname "$0")" && pwd -P)
@@ -20,6 +20,10 @@ prepare() {
         ln -s "$(command -v "$tool")" "$bin/$tool"
     done
     stub "$bin/cc" 'exit 0'
+    stub "$bin/qemu-system-arm" 'exit 0'
+    stub "$bin/arm-none-eabi-gcc" 'exit 0'
+    stub "$bin/id" 'echo 0'
+    stub "$bin/apt-get" 'echo "$@" >>"'"$scratch"'/apt"'
     stub "$bin/cargo" 'exit 0'
     stub "$bin/rustc" 'echo "rustc 1.95.0 (hash date)"'
     # Remembers what it was asked to install; has the toolchain, and one target less than needed.
@@ -78,5 +82,25 @@ expect "an old Rust without rustup" 4 "rustc 1.63.0 is older than"
 
 prepare && rm "$bin/rustup"
 expect "a Rust without rustup" 0 ""
+
+rm -f "$scratch/apt"
+prepare
+expect "both packages of the target tests are there" 0 ""
+prepare && rm "$bin/qemu-system-arm" "$bin/arm-none-eabi-gcc" "$bin/apt-get"
+expect "no packages and no apt-get" 0 "not installed: qemu-system-arm gcc-arm-none-eabi .*no apt-get.*will not run"
+prepare && rm "$bin/qemu-system-arm" && stub "$bin/id" 'echo 1000'
+expect "no emulator and no root" 0 "not installed: qemu-system-arm; .*will not run; fix: sudo apt-get install qemu-system-arm"
+if [ -e "$scratch/apt" ]; then
+    echo "FAILED: apt-get was asked without need: $(cat "$scratch/apt")"
+    failures=$((failures + 1))
+fi
+prepare && rm "$bin/qemu-system-arm" "$bin/arm-none-eabi-gcc"
+expect "no packages, as root" 0 "installing qemu-system-arm gcc-arm-none-eabi libnewlib-arm-none-eabi"
+if ! grep -q "^install .* qemu-system-arm gcc-arm-none-eabi libnewlib-arm-none-eabi" "$scratch/apt"; then
+    echo "FAILED: apt-get was asked: $(cat "$scratch/apt")"
+    failures=$((failures + 1))
+fi
+prepare && rm "$bin/arm-none-eabi-gcc" "$bin/rustup" && stub "$bin/apt-get" 'echo "E: no network"; exit 100'
+expect "no network for the packages" 0 "could not install gcc-arm-none-eabi .*(E: no network); .*will not run"
 
 [ "$failures" = 0 ]

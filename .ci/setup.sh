@@ -1,6 +1,7 @@
 #!/bin/sh
 # Brings or checks everything that `make demo` and `make test` need. A missing prerequisite gives one line with the fix
-# and exit 4. Safe to run again: with everything in place it only looks, and needs no network.
+# and exit 4; without the emulator and the C compiler of the Cortex-M tests everything else works, so they give one line
+# and no failure. Safe to run again: with everything in place it only looks, and needs no network.
 set -eu
 
 TARGETS="thumbv7em-none-eabihf thumbv7m-none-eabi thumbv8m.main-none-eabihf riscv32imac-unknown-none-elf"
@@ -57,4 +58,28 @@ else
     oldest=$(printf '%s\n%s\n' "$pinned" "${found%%-*}" | sort -V | head -n 1)
     [ "$oldest" = "$pinned" ] ||
         fail "rustc $found is older than $pinned; install Rust from https://rustup.rs and run \`make setup\` again"
+fi
+
+# The Cortex-M tests run in an emulator, and one of them compiles C. `make test` names them as not run without these.
+packages=
+command -v qemu-system-arm >/dev/null 2>&1 || packages="qemu-system-arm"
+command -v arm-none-eabi-gcc >/dev/null 2>&1 ||
+    packages="${packages:+$packages }gcc-arm-none-eabi libnewlib-arm-none-eabi"
+if [ -n "$packages" ]; then
+    without="the Cortex-M tests that need it will not run"
+    if ! command -v apt-get >/dev/null 2>&1; then
+        echo "setup: not installed: $packages (no apt-get here); $without" >&2
+    elif [ "$(id -u)" != 0 ]; then
+        echo "setup: not installed: $packages; $without; fix: sudo apt-get install $packages" >&2
+    else
+        echo "setup: installing $packages" >&2
+        log=$(mktemp)
+        # shellcheck disable=SC2086 # a list of plain words
+        { apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -q -y --no-install-recommends $packages; } \
+            >"$log" 2>&1 </dev/null || {
+            reason=$(grep '^E: ' "$log" | head -n 1)
+            echo "setup: apt-get could not install $packages (${reason:-no message}); $without" >&2
+        }
+        rm -f "$log"
+    fi
 fi

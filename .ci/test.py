@@ -194,7 +194,9 @@ def main(words):
     total_s = sum(s.wall_s for s in chosen)
     failed = sum(s.failed for s in chosen)
     print(f"{'total':<10} {'FAILED' if failed else 'ok':<8} {total_s:7.1f} s")
-    print(f"{sum(s.passed for s in chosen)} passed, {failed} failed", flush=True)
+    left_out = [s.name for s in chosen if s.state == "not run"]
+    rest = f"; not run: {', '.join(left_out)}" if left_out else ""
+    print(f"{sum(s.passed for s in chosen)} passed, {failed} failed{rest}", flush=True)
     return 1 if failed else 0
 
 
