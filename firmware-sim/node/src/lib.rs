@@ -7,6 +7,7 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`frame`], [`link`] | one CAN or CAN FD frame; the boundary to a bus |
+//! | [`slcan`] | frames as lines of ASCII: UARTs, USB adapters, python-can, the hub |
 //! | [`protocol`] | **the** table of messages: identifiers, directions, periods, payload layouts |
 //! | [`codec`], [`service`], [`assemble`] | frames to numbers and back, both profiles; parts to complete sets |
 //! | [`safety`] | **the** table of states and transitions, and the fault codes |
@@ -63,6 +64,7 @@ pub mod protocol;
 pub mod safety;
 pub mod service;
 mod shaper;
+pub mod slcan;
 pub mod timing;
 mod watch;
 
