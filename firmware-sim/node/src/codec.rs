@@ -454,7 +454,7 @@ impl Layout {
         let chunk = values.chunks(self.profile.values()).nth(part).unwrap_or(&[]);
         let [low, high] = header.latent.min(NO_LATENT).to_le_bytes();
         let scales = self.actions.get(part * self.profile.values()..).unwrap_or(&[]);
-        self.pack(id, header.seq, [low, header.flags.bits() | high << 5], chunk, scales)
+        self.pack(id, header.seq, [low, high | header.flags.bits() << 3], chunk, scales)
     }
 
     /// Reads one part of an action set. In `classic-i16` the header holds the sequence only; latent and flags are in
@@ -474,8 +474,8 @@ impl Layout {
             Profile::ClassicI16 => ActionHeader { seq: part.seq, latent: NO_LATENT, flags: Flags::default() },
             Profile::FdF32 => ActionHeader {
                 seq: part.seq,
-                latent: u16::from_le_bytes([low, high >> 5]),
-                flags: Flags::from_bits(high),
+                latent: u16::from_le_bytes([low, high]) & NO_LATENT,
+                flags: Flags::from_bits(high >> 3),
             },
         };
         Ok((header, part))

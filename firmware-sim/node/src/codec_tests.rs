@@ -41,6 +41,14 @@ fn classic_observation_literal_bytes() {
 }
 
 #[test]
+fn fd_action_literal_bytes() {
+    let header = ActionHeader { seq: 0x0102, latent: 0x345, flags: Flags::HELD.with(Flags::SAFE) };
+    let frame = layout(Profile::FdF32, 2, 1).action_frame(0, header, &[1.0]).unwrap();
+    // 0x345 in bits 0 to 10, safe (bit 0) and held (bit 3) above: one number a DBC can cut in two.
+    assert_eq!(&frame.payload()[..8], [2, 1, 0x45, 0x03 | 0b01001 << 3, 0, 0, 0x80, 0x3F]);
+}
+
+#[test]
 fn i16_rounds_to_nearest_saturates_and_keeps_invalid_apart() {
     let s = Scale::range(-32767.0, 32767.0).unwrap();
     for (value, q) in [(0.49, 0), (0.5, 1), (-0.5, -1), (1.49, 1), (1.51, 2), (-7.6, -8), (1e9, 32767), (-1e9, -32767)]

@@ -230,8 +230,7 @@ const ACT_CLASSIC: &[Field] = &[
 ];
 const ACT_FD: &[Field] = &[
     SEQ16,
-    field("latent", FieldKind::U8, "", "low 8 bits of the latent number"),
-    field("flags", FieldKind::U8, "", "bits 0-4 flags, bits 5-7 high bits of the latent number"),
+    field("latent", FieldKind::U16, "", "bits 0-10 latent number, 2047 = none; bits 11-15 flags"),
     field("action", FieldKind::F32(14), "of the signal", "the exact value"),
     CRC32,
 ];
