@@ -126,10 +126,11 @@ impl ActionSpace {
         }
     }
 
-    /// Writes the encoder's input (`input_width` numbers) for an action.
+    /// Writes the encoder's input (`input_width` numbers) for an action. Arguments without effect are 0: the decoder's
+    /// are arbitrary, and would make an executed latent fall on another one when it is assigned again.
     pub fn encode(&self, action: &[f32], input: &mut [f32]) {
         let mut at = 0;
-        for (head, &value) in self.heads.iter().zip(action) {
+        for (slot, (head, &value)) in self.heads.iter().zip(action).enumerate() {
             match head {
                 ActionHead::Discrete { n } => {
                     input[at..at + usize::from(*n)].fill(0.0);
@@ -141,7 +142,7 @@ impl ActionSpace {
                     at += 1;
                 }
                 ActionHead::Continuous { .. } => {
-                    input[at] = value;
+                    input[at] = if self.counts(action, slot) { value } else { 0.0 };
                     at += 1;
                 }
             }
@@ -244,7 +245,7 @@ mod tests {
         assert!(space.counts(&action, 2));
         let mut input = [9.0; 5];
         space.encode(&action, &mut input);
-        assert_eq!(input, [0.0, 1.0, 0.0, 0.7, -0.4]);
+        assert_eq!(input, [0.0, 1.0, 0.0, 0.0, -0.4], "what has no effect is not seen");
         space.decode(&[0.0, 3.0, 1.0, 5.0, -5.0], &mut action, true);
         assert_eq!(action[0], 1.0);
         assert!((action[2] + 0.999_909).abs() < 1e-5);

@@ -39,6 +39,12 @@ pub enum TrainError {
         /// The folder.
         path: PathBuf,
     },
+    /// Another process trains in the run folder.
+    #[error("{} is in use by another `gadm train`: wait for it, stop it, or choose another --out", path.display())]
+    RunLocked {
+        /// The folder.
+        path: PathBuf,
+    },
     /// Nothing to resume.
     #[error("{} holds no checkpoint to resume: start it without --resume, or check the path", path.display())]
     NothingToResume {

@@ -85,6 +85,17 @@ impl Default for RoundConfig {
     }
 }
 
+/// What an ε-random choice is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum RandomChoice {
+    /// A latent, all K equally likely (paper).
+    #[default]
+    Latent,
+    /// A raw action, every type, switch and value equally likely; remapping gives it its latent. Needs `round.remap`.
+    Action,
+}
+
 /// Exploration (specification 4.4).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -95,13 +106,15 @@ pub struct ExploreConfig {
     pub epsilon_end: f64,
     /// Environment steps in which the difference falls to 1/e.
     pub epsilon_decay: f64,
+    /// What a random choice draws from.
+    pub random: RandomChoice,
     /// Probability that the continuous part of an action is replaced by coins in {-1, +1}, drawn per environment.
     pub extreme_noise: f64,
 }
 
 impl Default for ExploreConfig {
     fn default() -> Self {
-        Self { epsilon_start: 1.0, epsilon_end: 0.05, epsilon_decay: 1e5, extreme_noise: 0.0 }
+        Self { epsilon_start: 1.0, epsilon_end: 0.05, epsilon_decay: 1e5, random: RandomChoice::Latent, extreme_noise: 0.0 }
     }
 }
 

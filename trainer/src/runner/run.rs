@@ -6,7 +6,7 @@ use rand::RngExt as _;
 use serde::{Deserialize, Serialize};
 
 use super::agent::Agent;
-use crate::config::TrainConfig;
+use crate::config::{RandomChoice, TrainConfig};
 use crate::error::TrainError;
 use crate::metrics::{Record, keys};
 use crate::nn::Params;
@@ -131,6 +131,14 @@ fn check(config: &TrainConfig) -> Result<(), TrainError> {
     }
     if config.action_model.standardise && batch < 2 {
         return Err(TrainError::config("round.batch", "at least 2 where action_model.standardise is on", batch));
+    }
+    let momentum = config.action_model.statistics_momentum;
+    if !(momentum > 0.0 && momentum <= 1.0) {
+        return Err(TrainError::config("action_model.statistics_momentum", "above 0, at most 1", momentum));
+    }
+    if config.explore.random == RandomChoice::Action && !config.round.remap {
+        let expected = "\"latent\" where round.remap is off: a random action has a latent by remapping alone";
+        return Err(TrainError::config("explore.random", expected, "\"action\""));
     }
     let w = &config.warmup;
     if w.enabled && w.data.is_none() && config.steps <= w.steps {
@@ -343,13 +351,22 @@ impl Run {
         let obs = self.envs.obs().to_vec();
         let mut codes = std::mem::take(&mut self.codes);
         self.agent.greedy(&obs, n, &mut codes);
-        for code in &mut codes {
+        let mut raw = vec![false; n];
+        for (code, raw) in codes.iter_mut().zip(&mut raw) {
             if self.streams.explore.random_bool(epsilon) {
-                *code = self.streams.explore.random_range(0..self.agent.model.num_latents() as u32);
+                match self.config.explore.random {
+                    RandomChoice::Latent => {
+                        *code = self.streams.explore.random_range(0..self.agent.model.num_latents() as u32);
+                    }
+                    RandomChoice::Action => *raw = true,
+                }
             }
         }
         self.actions.resize(n * self.slots, 0.0);
         self.agent.model.decode(&obs, &codes, &mut self.actions, false);
+        for (action, _) in self.actions.chunks_exact_mut(self.slots).zip(&raw).filter(|(_, raw)| **raw) {
+            self.agent.model.space().random(&mut self.streams.explore, action);
+        }
         if extreme > 0.0 {
             for action in self.actions.chunks_exact_mut(self.slots) {
                 if self.streams.noise.random_bool(extreme) {

@@ -1,5 +1,6 @@
 //! Drives a run in its folder: rounds, metrics, evaluation, checkpoints, interruption.
 
+use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
@@ -16,6 +17,8 @@ use crate::seed::SeedTree;
 
 /// Name of the stored configuration in a run folder.
 pub const CONFIG_FILE: &str = "config.toml";
+/// Name of the file whose lock marks a run folder as in use.
+const LOCK_FILE: &str = "lock";
 
 /// How to run.
 pub struct TrainOptions<'a> {
@@ -72,11 +75,24 @@ impl Sinks {
     }
 }
 
-/// Starts or resumes.
-fn open(options: &TrainOptions) -> Result<(Run, Sinks), TrainError> {
+/// Keeps a second process out of the folder for as long as the value lives; the operating system frees it with the
+/// process, however that ends.
+fn lock(dir: &Path) -> Result<File, TrainError> {
+    let path = dir.join(LOCK_FILE);
+    let file = File::create(&path).map_err(TrainError::io("create", &path))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(TrainError::RunLocked { path: dir.to_owned() }),
+        Err(TryLockError::Error(source)) => Err(TrainError::io("lock", &path)(source)),
+    }
+}
+
+/// Starts or resumes. The file is the lock on the folder.
+fn open(options: &TrainOptions) -> Result<(Run, Sinks, File), TrainError> {
     let dir = &options.dir;
     if options.resume {
         let mut run = checkpoint::load(dir)?;
+        let lock = lock(dir)?;
         if let Some(config) = &options.config {
             let same = TrainConfig { steps: run.config.steps, ..config.clone() };
             if same != run.config {
@@ -99,7 +115,7 @@ fn open(options: &TrainOptions) -> Result<(Run, Sinks), TrainError> {
             jsonl: JsonlSink::resume(dir, step).map_err(metrics_error)?,
             tensorboard: TensorBoardSink::resume(dir, step, unix_time()).map_err(metrics_error)?,
         };
-        return Ok((run, sinks));
+        return Ok((run, sinks, lock));
     }
     let config = options.config.clone().unwrap_or_default();
     let mut run = Run::new(config)?;
@@ -110,6 +126,7 @@ fn open(options: &TrainOptions) -> Result<(Run, Sinks), TrainError> {
     run.load_warmup_data()?;
     let text = to_toml(&run.config).map_err(TrainError::ConfigFile)?;
     std::fs::create_dir_all(dir.join(checkpoint::FOLDER)).map_err(TrainError::io("create", dir))?;
+    let lock = lock(dir)?;
     atomic::write(&dir.join(CONFIG_FILE), text.as_bytes()).map_err(TrainError::Write)?;
     super::origin::Origin::here().store(dir)?;
     let sinks = Sinks {
@@ -118,7 +135,7 @@ fn open(options: &TrainOptions) -> Result<(Run, Sinks), TrainError> {
     };
     // A run killed before its first regular checkpoint can be resumed too, and a folder that takes none is noticed now.
     checkpoint::save(&run, dir)?;
-    Ok((run, sinks))
+    Ok((run, sinks, lock))
 }
 
 fn first_difference(stored: &TrainConfig, given: &TrainConfig) -> String {
@@ -133,12 +150,13 @@ fn first_difference(stored: &TrainConfig, given: &TrainConfig) -> String {
 /// Any [`TrainError`]; a usable checkpoint then remains as of the last one written.
 #[expect(clippy::disallowed_methods, reason = "timing metrics")]
 pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
-    let (mut run, mut sinks) = open(options)?;
+    let (mut run, mut sinks, _lock) = open(options)?;
     let start = Instant::now();
     let mut progress = Progress::new(run.config.steps, &run.config.env, options.style);
     let mut outcome = Outcome { env_steps: 0, interrupted: false, best_return: None, last: None, wall_s: 0.0 };
     let mut clock = (Instant::now(), run.counters.env_steps, run.updates());
-    let mut reached = false;
+    let target = run.config.track.stop_at_return;
+    let mut reached = target.is_some_and(|target| run.counters.last_return.is_some_and(|last| last >= target));
     let mut recent = (None, None);
     while !run.finished() && !reached {
         if options.stop.load(Ordering::Relaxed) {
@@ -169,8 +187,9 @@ pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
             clock = (Instant::now(), now, run.updates());
             if evaluates {
                 let evaluation = evaluate_run(&mut run, &mut record)?;
-                reached = run.config.track.stop_at_return.is_some_and(|target| evaluation.mean() >= target);
-                if run.counters.best_return.is_none_or(|best| evaluation.mean() > best) {
+                reached = target.is_some_and(|target| evaluation.mean() >= target);
+                // A return that is not a number is better than nothing and worse than any other.
+                if run.counters.best_return.is_none_or(|best| evaluation.mean() > best || best.is_nan()) {
                     run.counters.best_return = Some(evaluation.mean());
                     checkpoint::save_best(&run, &options.dir)?;
                 }

@@ -54,6 +54,10 @@ pub struct ActionModelConfig {
     pub codetable: Codetable,
     /// Standardise the encoder's output before the nearest-code search: the cure for code collapse (specification 2.10).
     pub standardise: bool,
+    /// Share of a batch in the running mean and variance of the standardised output, above 0 to 1. The specification's
+    /// 0.01 lags about a hundred updates behind weights that drift: latents assigned with running statistics then differ
+    /// from those of training, up to whole action types decoded wrongly (`cargo run --example momentum`).
+    pub statistics_momentum: f64,
     /// Weight λ of the commitment term, on the mean over batch and D (specification 2.8).
     pub commitment: f64,
     /// Loss of continuous slots.
@@ -81,6 +85,7 @@ impl Default for ActionModelConfig {
             fusion: Fusion::Mul,
             codetable: Codetable::OneHot,
             standardise: true,
+            statistics_momentum: 0.2,
             commitment: 0.25,
             regression: RegressionLoss::Mse,
             continuous_weight: 1.0,

@@ -14,11 +14,6 @@ use crate::seed::Rng;
 /// Rows a forward pass handles at once outside training.
 const CHUNK: usize = 512;
 
-/// Momentum of the running statistics behind the standardised encoder output. The specification's 0.01 lags about a hundred
-/// updates behind weights that drift: latents assigned with running statistics then differ from those of training, up to
-/// whole action types decoded wrongly.
-const MOMENTUM: f32 = 0.05;
-
 #[derive(Clone, Debug)]
 struct Layers {
     action: DenseParams,
@@ -166,7 +161,7 @@ fn encode(graph: &mut Graph, config: &ActionModelConfig, layers: &Layers, action
     let z = graph.dense(f, &layers.to_code, false);
     match &layers.running {
         // Gain: specification 2.10.
-        Some((mean, var)) => graph.standardise(z, mean.clone(), var.clone(), 0.5, MOMENTUM),
+        Some((mean, var)) => graph.standardise(z, mean.clone(), var.clone(), 0.5, config.statistics_momentum as f32),
         None => z,
     }
 }
