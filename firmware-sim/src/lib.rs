@@ -22,6 +22,7 @@
 //! | [`bus`] | loopback, candump traces, faults, load |
 //! | [`decode`] | frames as named signals |
 //! | [`result`] | what a run found out |
+//! | [`report`] | pages that show it |
 
 #![cfg_attr(test, allow(clippy::unwrap_used, reason = "a test may fail loudly"))]
 
@@ -31,6 +32,7 @@ mod error;
 pub mod host;
 pub mod interface;
 pub mod plant_node;
+pub mod report;
 pub mod result;
 pub mod sil;
 pub mod target;
