@@ -91,6 +91,31 @@ pub struct EnvState {
     pub counts: Vec<u64>,
 }
 
+/// A change of the plant that the policy does not know of. Each kind holds until it is taken back, also through a reset.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Disturbance {
+    /// Masses and inertias of all bodies, times this (above 0); 1 takes it back.
+    Mass {
+        /// Factor.
+        factor: f64,
+    },
+    /// Friction of all contacts, times this (at least 0); 1 takes it back.
+    Friction {
+        /// Factor.
+        factor: f64,
+    },
+    /// Gravity, times this; 1 takes it back.
+    Gravity {
+        /// Factor.
+        factor: f64,
+    },
+    /// A force on the first body of the model, at its centre of mass, in world coordinates; zero takes it back.
+    Push {
+        /// Force, N.
+        force_n: [f64; 3],
+    },
+}
+
 /// A simulated task.
 ///
 /// An episode is a function of the reset seed and the actions: there is no other source of randomness.
@@ -113,4 +138,15 @@ pub trait Env: Send {
     /// # Errors
     /// Where the lengths do not fit this environment.
     fn restore(&mut self, state: &EnvState) -> Result<(), crate::EnvError>;
+
+    /// Changes the plant from the next step on. The state goes on unchanged, and [`state`](Env::state) does not hold the
+    /// disturbance.
+    ///
+    /// # Errors
+    /// [`EnvError::Disturbance`](crate::EnvError::Disturbance) where this plant cannot be changed in this way, or by
+    /// this much. The default is a plant that cannot be changed at all.
+    fn disturb(&mut self, disturbance: Disturbance) -> Result<(), crate::EnvError> {
+        let message = format!("{disturbance:?}: only the MuJoCo bodies can be disturbed");
+        Err(crate::EnvError::Disturbance { id: self.spec().id.clone(), message })
+    }
 }

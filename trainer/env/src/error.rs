@@ -62,6 +62,14 @@ pub enum EnvError {
         /// Which value, what was expected and found.
         message: String,
     },
+    /// A disturbance that the plant cannot take.
+    #[error("environment `{id}` cannot be disturbed so: {message}")]
+    Disturbance {
+        /// Environment.
+        id: String,
+        /// Which disturbance, what was expected.
+        message: String,
+    },
     /// A batch of another shape, or a row of environments that cannot be.
     #[error("{what}: expected {expected}, found {found}")]
     Batch {

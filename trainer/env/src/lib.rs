@@ -32,7 +32,7 @@ mod vec_env;
 mod wrappers;
 
 pub use classic::toy_env::{RewardConvention, StartState, ToyOptions};
-pub use env::{ActionSignal, ArgumentMask, Env, EnvSpec, EnvState, ObservationSignal, Step};
+pub use env::{ActionSignal, ArgumentMask, Disturbance, Env, EnvSpec, EnvState, ObservationSignal, Step};
 pub use error::EnvError;
 #[cfg(feature = "mujoco")]
 pub use mujoco::plant::warning_count as mujoco_warning_count;

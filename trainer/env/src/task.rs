@@ -4,7 +4,9 @@
 
 use gadm_runtime::space::ActionHead;
 
-use crate::{ActionSignal, Env, EnvError, EnvSpec, EnvState, ObservationSignal, Step, sampling::EpisodeRng};
+use crate::{
+    ActionSignal, Disturbance, Env, EnvError, EnvSpec, EnvState, ObservationSignal, Step, sampling::EpisodeRng,
+};
 
 /// Result of one task step: [`Step`] without the outer limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,6 +46,11 @@ pub(crate) trait Task: Send {
 
     /// Goes on from a saved state; leaves the task as it was where that fails.
     fn load(&mut self, state: &EnvState) -> Result<(), EnvError>;
+
+    /// Changes the plant; `false` where it cannot be changed.
+    fn disturb(&mut self, _disturbance: Disturbance) -> Result<bool, EnvError> {
+        Ok(false)
+    }
 
     /// Tells the type of the actions in a recording, for tasks whose reference computes differently with f32.
     fn recorded_in_single_precision(&mut self, _single: bool) {}
@@ -98,6 +105,26 @@ impl Env for TaskEnv {
 
     fn restore(&mut self, state: &EnvState) -> Result<(), EnvError> {
         self.task.load(state)
+    }
+
+    fn disturb(&mut self, disturbance: Disturbance) -> Result<(), EnvError> {
+        let id = self.task.spec().id.clone();
+        let refused = |message: String| Err(EnvError::Disturbance { id: id.clone(), message });
+        let (value, least) = match disturbance {
+            Disturbance::Mass { factor } => (factor, f64::MIN_POSITIVE),
+            Disturbance::Friction { factor } => (factor, 0.0),
+            Disturbance::Gravity { factor } => (factor, f64::MIN),
+            Disturbance::Push { force_n } => (force_n.iter().sum(), f64::MIN),
+        };
+        if !value.is_finite() || value < least {
+            return refused(format!(
+                "expected finite numbers and factors of at least 0 (masses above), found {disturbance:?}"
+            ));
+        }
+        if self.task.disturb(disturbance)? {
+            return Ok(());
+        }
+        refused(format!("{disturbance:?}: only the MuJoCo bodies can be disturbed"))
     }
 }
 

@@ -1,6 +1,6 @@
 //! Environments around environments: a step limit, and action numbers without effect.
 
-use crate::{ArgumentMask, Env, EnvError, EnvSpec, EnvState, Step, task::continuous};
+use crate::{ArgumentMask, Disturbance, Env, EnvError, EnvSpec, EnvState, Step, task::continuous};
 
 /// Truncates an episode after a number of steps; the observation does not show it.
 pub struct TimeLimit {
@@ -56,6 +56,10 @@ impl Env for TimeLimit {
         self.taken = taken;
         Ok(())
     }
+
+    fn disturb(&mut self, disturbance: Disturbance) -> Result<(), EnvError> {
+        self.inner.disturb(disturbance)
+    }
 }
 
 /// Appends action numbers in -1..=1 that change nothing: neither the motion nor the cost of control.
@@ -106,5 +110,9 @@ impl Env for ExtraDims {
 
     fn restore(&mut self, state: &EnvState) -> Result<(), EnvError> {
         self.inner.restore(state)
+    }
+
+    fn disturb(&mut self, disturbance: Disturbance) -> Result<(), EnvError> {
+        self.inner.disturb(disturbance)
     }
 }

@@ -4,7 +4,7 @@
 
 use super::plant::{ModelFile, Plant};
 use crate::{
-    ActionSignal, ArgumentMask, EnvError, EnvSpec, EnvState, ObservationSignal,
+    ActionSignal, ArgumentMask, Disturbance, EnvError, EnvSpec, EnvState, ObservationSignal,
     sampling::EpisodeRng,
     task::{Field, Outcome, Task, check_state, continuous},
 };
@@ -141,6 +141,11 @@ impl<R: Rules> Task for Body<R> {
         self.plant.load_state(&state.reals[..len]);
         self.position = state.reals[len];
         Ok(())
+    }
+
+    fn disturb(&mut self, disturbance: Disturbance) -> Result<bool, EnvError> {
+        self.plant.disturb(&self.spec.id, disturbance)?;
+        Ok(true)
     }
 }
 

@@ -17,7 +17,7 @@ use mujoco_rs::{
     },
 };
 
-use crate::EnvError;
+use crate::{Disturbance, EnvError};
 
 /// A model file, compiled into the program, so that nothing depends on the current folder.
 #[derive(Clone, Copy, Debug)]
@@ -87,10 +87,41 @@ fn load(id: &str, file: ModelFile) -> Result<Arc<MjModel>, EnvError> {
     Ok(model)
 }
 
+/// The first body after the world: the trunk, or the cart.
+const FIRST_BODY: usize = 1;
+
+/// What differs from the model file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Changes {
+    mass: f64,
+    friction: f64,
+    gravity: f64,
+}
+
+impl Changes {
+    const NONE: Self = Self { mass: 1.0, friction: 1.0, gravity: 1.0 };
+
+    /// A copy of `model` with these changes and everything that MuJoCo derives from them.
+    fn of(self, model: &MjModel) -> MjModel {
+        let mut model = model.clone();
+        model.body_mass_mut().iter_mut().for_each(|m| *m *= self.mass);
+        model.body_inertia_mut().iter_mut().flatten().for_each(|i| *i *= self.mass);
+        model.geom_friction_mut().iter_mut().flatten().for_each(|f| *f *= self.friction);
+        model.opt_mut().gravity.iter_mut().for_each(|g| *g *= self.gravity);
+        let mut data = MjData::new(Box::new(model));
+        data.set_const();
+        data.model().clone()
+    }
+}
+
 /// One simulated body.
 pub(crate) struct Plant {
     pub(crate) data: MjData<Arc<MjModel>>,
     frame_skip: usize,
+    /// The model of the file, where the one in use differs from it.
+    original: Option<Arc<MjModel>>,
+    changes: Changes,
+    push_n: [f64; 3],
 }
 
 impl Plant {
@@ -98,7 +129,35 @@ impl Plant {
     pub(crate) fn new(id: &str, file: ModelFile, frame_skip: usize) -> Result<Self, EnvError> {
         let data = MjData::try_new(load(id, file)?)
             .map_err(|error| EnvError::Model { id: id.to_owned(), message: format!("{}: {error}", file.name) })?;
-        Ok(Self { data, frame_skip })
+        Ok(Self { data, frame_skip, original: None, changes: Changes::NONE, push_n: [0.0; 3] })
+    }
+
+    /// Changes the body from the next step on; see [`Disturbance`].
+    pub(crate) fn disturb(&mut self, id: &str, disturbance: Disturbance) -> Result<(), EnvError> {
+        let mut changes = self.changes;
+        match disturbance {
+            Disturbance::Mass { factor } => changes.mass = factor,
+            Disturbance::Friction { factor } => changes.friction = factor,
+            Disturbance::Gravity { factor } => changes.gravity = factor,
+            Disturbance::Push { force_n } => self.push_n = force_n,
+        }
+        if changes == self.changes {
+            return Ok(());
+        }
+        let original = self.original.take();
+        let back = changes == Changes::NONE;
+        let model = match &original {
+            Some(file) if back => Arc::clone(file),
+            Some(file) => Arc::new(changes.of(file)),
+            None => Arc::new(changes.of(self.data.model())),
+        };
+        let before = self
+            .data
+            .try_swap_model(model)
+            .map_err(|error| EnvError::Disturbance { id: id.to_owned(), message: error.to_string() })?;
+        self.original = if back { None } else { Some(original.unwrap_or(before)) };
+        self.changes = changes;
+        Ok(())
     }
 
     /// Control period, s.
@@ -132,6 +191,9 @@ impl Plant {
     /// integration: that is what the reference's rewards and observations read.
     pub(crate) fn step(&mut self, ctrl: &[f64]) {
         self.data.ctrl_mut().copy_from_slice(ctrl);
+        if let Some(applied) = self.data.xfrc_applied_mut().get_mut(FIRST_BODY) {
+            applied[..3].copy_from_slice(&self.push_n);
+        }
         for _ in 0..self.frame_skip {
             self.data.step();
         }
