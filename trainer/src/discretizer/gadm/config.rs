@@ -56,7 +56,7 @@ pub struct ActionModelConfig {
     pub standardise: bool,
     /// Share of a batch in the running mean and variance of the standardised output, above 0 to 1. The specification's
     /// 0.01 lags about a hundred updates behind weights that drift: latents assigned with running statistics then differ
-    /// from those of training, up to whole action types decoded wrongly (`cargo run --example momentum`).
+    /// from those of training, up to whole action types decoded wrongly (`cargo run --release -p gadm-trainer --example choices momentum`).
     pub statistics_momentum: f64,
     /// Weight λ of the commitment term, on the mean over batch and D (specification 2.8).
     pub commitment: f64,

@@ -1,9 +1,13 @@
-//! Compares the fusions of state and action: reconstruction and code use on random Moving data, steps to learn
-//! InvertedPendulum-v5, and what the decoder costs on the device. Prints a Markdown table.
+//! Measures two choices of the action model and prints a Markdown table of each.
 //!
-//! `cargo run --release -p gadm-trainer --example fusions [SEEDS]`
+//! - `fusions`: how state and action meet: reconstruction and code use on random Moving data, steps to learn
+//!   InvertedPendulum-v5, and what the decoder costs on the device.
+//! - `momentum`: how fast the running statistics of the standardised encoder output follow: how many latents differ from
+//!   those that training assigned, and what that does to the reconstruction.
+//!
+//! `cargo run --release -p gadm-trainer --example choices fusions|momentum [SEEDS]`
 
-use std::io::Write as _;
+use std::io::Write;
 use std::sync::atomic::AtomicBool;
 
 use gadm_trainer::action_space::ActionSpace;
@@ -12,6 +16,7 @@ use gadm_trainer::config::resolve::resolve;
 use gadm_trainer::config::{Layer, TrainConfig};
 use gadm_trainer::discretizer::gadm::{ActionModel, ActionModelConfig, Fusion};
 use gadm_trainer::export::{ExportOptions, export};
+use gadm_trainer::nn::AdamConfig;
 use gadm_trainer::plot::curve::read_run;
 use gadm_trainer::runner::progress::Style;
 use gadm_trainer::runner::{TrainOptions, train};
@@ -28,11 +33,11 @@ const TRANSITIONS: usize = 20_000;
 const UPDATES: usize = 2_000;
 const BATCH: usize = 512;
 
-/// Continuous and type error of decode(encode), and perplexity of the codes, with running statistics.
-fn reconstruction(fusion: Fusion, seed: u64) -> anyhow::Result<[f64; 3]> {
+/// After training on random data, with running statistics: continuous and type error of decode(encode), perplexity of
+/// the codes, and the share of the last batch whose latents differ from those that training assigned.
+fn reconstruction(config: ActionModelConfig, seed: u64) -> anyhow::Result<[f64; 4]> {
     let mut env = gadm_envs::make("moving")?;
     let spec = env.spec().clone();
-    let config = ActionModelConfig { latents: 16, fusion, ..ActionModelConfig::default() };
     let space = ActionSpace::new(&spec, config.head, config.argument_mask);
     let (obs_dim, slots) = (spec.obs_dim(), space.slots());
     let mut rng = SeedTree::new(seed).stream("random actions");
@@ -65,6 +70,8 @@ fn reconstruction(fusion: Fusion, seed: u64) -> anyhow::Result<[f64; 3]> {
         model.update(&batch_obs, &batch_actions);
     }
     let mut codes = Vec::new();
+    model.encode(&batch_obs, &batch_actions, &mut codes);
+    let changed = codes.iter().zip(model.training_codes()).filter(|(now, then)| now != then).count();
     model.encode(&obs, &actions, &mut codes);
     let mut decoded = vec![0.0; actions.len()];
     model.decode(&obs, &codes, &mut decoded, false);
@@ -84,7 +91,7 @@ fn reconstruction(fusion: Fusion, seed: u64) -> anyhow::Result<[f64; 3]> {
     }
     let shares = counts.iter().filter(|c| **c > 0).map(|&c| f64::from(c) / TRANSITIONS as f64);
     let perplexity = shares.map(|p| -p * p.ln()).sum::<f64>().exp();
-    Ok([error / f64::from(counted), wrong as f64 / TRANSITIONS as f64, perplexity])
+    Ok([error / f64::from(counted), wrong as f64 / TRANSITIONS as f64, perplexity, changed as f64 / BATCH as f64])
 }
 
 /// Bytes and multiply-accumulates of a policy.
@@ -122,24 +129,63 @@ fn mean_sd(values: &[f64]) -> (f64, f64) {
     (mean, if values.len() > 1 { (squares / (n - 1.0)).sqrt() } else { 0.0 })
 }
 
+fn momenta(out: &mut impl Write, seeds: u64) -> anyhow::Result<()> {
+    writeln!(
+        out,
+        "| momentum | learning rate | latents that differ from training's | wrong types | squared error of continuous slots |"
+    )?;
+    writeln!(out, "| --- | --- | --- | --- | --- |")?;
+    for learning_rate in [3e-4, 3e-3] {
+        for statistics_momentum in [0.01, 0.05, 0.1, 0.2, 0.5] {
+            let adam = AdamConfig { learning_rate, ..AdamConfig::default() };
+            let config = ActionModelConfig { latents: 16, statistics_momentum, adam, ..ActionModelConfig::default() };
+            let mut columns: [Vec<f64>; 4] = Default::default();
+            for seed in 0..seeds {
+                reconstruction(config.clone(), seed)?.iter().zip(&mut columns).for_each(|(v, c)| c.push(*v));
+            }
+            let [error, wrong, _, changed] = columns.map(|c| mean_sd(&c));
+            writeln!(
+                out,
+                "| {statistics_momentum} | {learning_rate} | {:.1} % ± {:.1} | {:.2} % ± {:.2} | {:.4} ± {:.4} |",
+                100.0 * changed.0,
+                100.0 * changed.1,
+                100.0 * wrong.0,
+                100.0 * wrong.1,
+                error.0,
+                error.1
+            )?;
+        }
+    }
+    Ok(())
+}
+
 fn main() -> anyhow::Result<()> {
-    let seeds: u64 = std::env::args().nth(1).map_or(Ok(3), |s| s.parse())?;
+    let seeds: u64 = std::env::args().nth(2).map_or(Ok(3), |s| s.parse())?;
     let mut out = std::io::stdout().lock();
+    match std::env::args().nth(1).as_deref() {
+        Some("fusions") => fusions(&mut out, seeds),
+        Some("momentum") => momenta(&mut out, seeds),
+        other => anyhow::bail!("expected `fusions` or `momentum`, found {other:?}"),
+    }
+}
+
+fn fusions(out: &mut impl Write, seeds: u64) -> anyhow::Result<()> {
     writeln!(
         out,
         "| fusion | squared error of continuous slots | wrong types | perplexity of 16 | steps to return 950 | policy bytes | multiply-accumulates |"
     )?;
     writeln!(out, "| --- | --- | --- | --- | --- | --- | --- |")?;
     for (fusion, name) in FUSIONS {
-        let mut columns: [Vec<f64>; 3] = Default::default();
+        let mut columns: [Vec<f64>; 4] = Default::default();
         let (mut steps, mut device) = (Vec::new(), None);
         for seed in 0..seeds {
-            reconstruction(fusion, seed)?.iter().zip(&mut columns).for_each(|(v, c)| c.push(*v));
+            let config = ActionModelConfig { latents: 16, fusion, ..ActionModelConfig::default() };
+            reconstruction(config, seed)?.iter().zip(&mut columns).for_each(|(v, c)| c.push(*v));
             let (reached, cost) = learning(name, seed)?;
             steps.extend(reached);
             device = cost;
         }
-        let [error, wrong, perplexity] = columns.map(|c| mean_sd(&c));
+        let [error, wrong, perplexity, _] = columns.map(|c| mean_sd(&c));
         let steps = match mean_sd(&steps) {
             _ if steps.is_empty() => "not reached".to_owned(),
             (mean, sd) => format!("{mean:.0} ± {sd:.0} ({} of {seeds} seeds)", steps.len()),
