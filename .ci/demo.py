@@ -120,7 +120,7 @@ def main():
     run([sim, "run", hopper, "--episodes", HOPPER_EPISODES, "--seed", EVAL_SEED])
 
     say("\n== report")
-    run([gadm, "report", folder, "--sil", sil, "--trace", trace])
+    run([gadm, "report", folder, "--sil", sil, "--trace", trace, "--min-return", LIMIT])
 
     forms = [
         ("float networks, host", as_float["mean"], as_float["sd"], as_float["latents_used"]),
