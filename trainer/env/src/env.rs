@@ -139,6 +139,11 @@ pub trait Env: Send {
     /// Where the lengths do not fit this environment.
     fn restore(&mut self, state: &EnvState) -> Result<(), crate::EnvError>;
 
+    /// A drawing of the state. Every environment of the registry has one; the default is none.
+    fn scene(&self) -> Option<crate::render::Scene> {
+        None
+    }
+
     /// Changes the plant from the next step on. The state goes on unchanged, and [`state`](Env::state) does not hold the
     /// disturbance.
     ///

@@ -25,6 +25,7 @@ mod hybrid;
 #[cfg(feature = "mujoco")]
 mod mujoco;
 mod registry;
+pub mod render;
 mod sampling;
 mod seed;
 mod task;

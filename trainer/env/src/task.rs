@@ -5,7 +5,8 @@
 use gadm_runtime::space::ActionHead;
 
 use crate::{
-    ActionSignal, Disturbance, Env, EnvError, EnvSpec, EnvState, ObservationSignal, Step, sampling::EpisodeRng,
+    ActionSignal, Disturbance, Env, EnvError, EnvSpec, EnvState, ObservationSignal, Step, render::Scene,
+    sampling::EpisodeRng,
 };
 
 /// Result of one task step: [`Step`] without the outer limit.
@@ -46,6 +47,11 @@ pub(crate) trait Task: Send {
 
     /// Goes on from a saved state; leaves the task as it was where that fails.
     fn load(&mut self, state: &EnvState) -> Result<(), EnvError>;
+
+    /// A drawing of the state. Every task of the registry has one (`tests/render.rs`).
+    fn scene(&self) -> Option<Scene> {
+        None
+    }
 
     /// Changes the plant; `false` where it cannot be changed.
     fn disturb(&mut self, _disturbance: Disturbance) -> Result<bool, EnvError> {
@@ -105,6 +111,10 @@ impl Env for TaskEnv {
 
     fn restore(&mut self, state: &EnvState) -> Result<(), EnvError> {
         self.task.load(state)
+    }
+
+    fn scene(&self) -> Option<Scene> {
+        self.task.scene()
     }
 
     fn disturb(&mut self, disturbance: Disturbance) -> Result<(), EnvError> {

@@ -1,6 +1,6 @@
 //! Environments around environments: a step limit, and action numbers without effect.
 
-use crate::{ArgumentMask, Disturbance, Env, EnvError, EnvSpec, EnvState, Step, task::continuous};
+use crate::{ArgumentMask, Disturbance, Env, EnvError, EnvSpec, EnvState, Step, render::Scene, task::continuous};
 
 /// Truncates an episode after a number of steps; the observation does not show it.
 pub struct TimeLimit {
@@ -57,6 +57,10 @@ impl Env for TimeLimit {
         Ok(())
     }
 
+    fn scene(&self) -> Option<Scene> {
+        self.inner.scene()
+    }
+
     fn disturb(&mut self, disturbance: Disturbance) -> Result<(), EnvError> {
         self.inner.disturb(disturbance)
     }
@@ -110,6 +114,10 @@ impl Env for ExtraDims {
 
     fn restore(&mut self, state: &EnvState) -> Result<(), EnvError> {
         self.inner.restore(state)
+    }
+
+    fn scene(&self) -> Option<Scene> {
+        self.inner.scene()
     }
 
     fn disturb(&mut self, disturbance: Disturbance) -> Result<(), EnvError> {

@@ -6,6 +6,7 @@ use std::f64::consts::PI;
 
 use crate::{
     ArgumentMask, EnvError, EnvSpec, EnvState,
+    render::{self, Scene},
     sampling::EpisodeRng,
     task::{Field, Outcome, Task, check_state, continuous, signal},
 };
@@ -102,6 +103,10 @@ impl Task for Pendulum {
         check_state(&self.spec, state, 2, 0)?;
         self.place(&state.reals);
         Ok(())
+    }
+
+    fn scene(&self) -> Option<Scene> {
+        Some(render::classic::pendulum(self.theta))
     }
 
     fn recorded_in_single_precision(&mut self, single: bool) {

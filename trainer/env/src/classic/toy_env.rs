@@ -4,6 +4,7 @@
 
 use crate::{
     ArgumentMask, EnvError, EnvSpec, EnvState,
+    render::{self, Scene},
     sampling::EpisodeRng,
     task::{Field, Outcome, Task, check_state, continuous, signal},
 };
@@ -119,6 +120,10 @@ impl Task for ToyEnv {
         }
         self.at = at as usize;
         Ok(())
+    }
+
+    fn scene(&self) -> Option<Scene> {
+        Some(render::classic::toy(self.at))
     }
 }
 

@@ -9,6 +9,7 @@ use gadm_runtime::space::ActionHead;
 use super::field::{FIELDS, Field, observation_signals};
 use crate::{
     ActionSignal, ArgumentMask, EnvError, EnvSpec, EnvState,
+    render::{self, Scene},
     sampling::EpisodeRng,
     task::{Field as StateField, Outcome, Task, continuous},
 };
@@ -98,6 +99,10 @@ impl Task for HardMove {
     fn load(&mut self, state: &EnvState) -> Result<(), EnvError> {
         self.at = Field::load(&self.spec, state)?;
         Ok(())
+    }
+
+    fn scene(&self) -> Option<Scene> {
+        Some(render::field::field(&self.at, 0.0, &self.directions))
     }
 }
 

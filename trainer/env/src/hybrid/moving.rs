@@ -9,6 +9,7 @@ use gadm_runtime::space::ActionHead;
 use super::field::{FIELDS, Field, observation_signals};
 use crate::{
     ActionSignal, ArgumentMask, EnvError, EnvSpec, EnvState,
+    render::{self, Scene},
     sampling::EpisodeRng,
     task::{Field as StateField, Outcome, Task, continuous},
 };
@@ -139,6 +140,14 @@ impl Task for Moving {
     fn load(&mut self, state: &EnvState) -> Result<(), EnvError> {
         self.at = Field::load(&self.spec, state)?;
         Ok(())
+    }
+
+    fn scene(&self) -> Option<Scene> {
+        let motion = match self.motion {
+            Motion::Moving => self.at.theta,
+            Motion::Sliding => self.at.phi,
+        };
+        Some(render::field::field(&self.at, motion, &[]))
     }
 }
 

@@ -2,9 +2,13 @@
 //!
 //! Source: Gymnasium's `mujoco` environments, v4 and v5 (both with their default options).
 
-use super::plant::{ModelFile, Plant};
+use super::{
+    figure::figure,
+    plant::{ModelFile, Plant},
+};
 use crate::{
     ActionSignal, ArgumentMask, Disturbance, EnvError, EnvSpec, EnvState, ObservationSignal,
+    render::{self, Scene},
     sampling::EpisodeRng,
     task::{Field, Outcome, Task, check_state, continuous},
 };
@@ -141,6 +145,10 @@ impl<R: Rules> Task for Body<R> {
         self.plant.load_state(&state.reals[..len]);
         self.position = state.reals[len];
         Ok(())
+    }
+
+    fn scene(&self) -> Option<Scene> {
+        Some(render::body::body(&figure(&self.plant)))
     }
 
     fn disturb(&mut self, disturbance: Disturbance) -> Result<bool, EnvError> {

@@ -4,6 +4,7 @@
 
 pub(crate) mod ant;
 pub(crate) mod body;
+mod figure;
 pub(crate) mod half_cheetah;
 pub(crate) mod hopper;
 pub(crate) mod humanoid;
