@@ -3,6 +3,7 @@
 pub mod action_space;
 pub mod algo;
 pub mod atomic;
+pub mod bench;
 pub mod card;
 pub mod config;
 pub mod discretizer;

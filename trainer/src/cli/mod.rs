@@ -1,5 +1,6 @@
 //! The command line. People read standard error, programs standard output; this is the only place that prints.
 
+mod bench;
 mod doctor;
 mod env;
 mod eval;
@@ -53,6 +54,9 @@ enum Command {
     /// List environments, check them against recordings
     #[command(subcommand)]
     Env(env::Command),
+    /// Measure the speed of this program's parts on this machine
+    #[command(subcommand)]
+    Bench(bench::Command),
     /// Say what this machine can do, and how to get the rest
     Doctor(doctor::Args),
 }
@@ -78,6 +82,7 @@ pub fn main() -> ExitCode {
         Command::Plot(args) => plot::main(&args),
         Command::Report(args) => report::main(&args),
         Command::Env(command) => env::main(&command),
+        Command::Bench(command) => bench::main(&command),
         Command::Doctor(args) => doctor::main(&args),
     };
     match done {

@@ -158,6 +158,11 @@ impl RlBuffer {
         self.len() == 0
     }
 
+    /// Memory held for rows, bytes.
+    pub fn bytes(&self) -> usize {
+        self.columns.iter().map(|c| c.data.capacity() * size_of::<f32>()).sum()
+    }
+
     /// Adds a transition.
     pub fn push(&mut self, t: &Transition) {
         let at = self.cursor.advance();

@@ -73,6 +73,32 @@ impl Dqn {
         batch: usize,
         rng: &mut Rng,
     ) -> Result<Self, TrainError> {
+        Self::build(config, obs_dim, latents, batch, rng, true)
+    }
+
+    /// A Q-network without streams: the trunk, then the layer of outputs; `config.dueling` counts as false. The textbook
+    /// network (Mnih et al. 2015), for comparison with other programs.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn plain(
+        config: DqnConfig,
+        obs_dim: usize,
+        latents: usize,
+        batch: usize,
+        rng: &mut Rng,
+    ) -> Result<Self, TrainError> {
+        Self::build(DqnConfig { dueling: false, ..config }, obs_dim, latents, batch, rng, false)
+    }
+
+    fn build(
+        config: DqnConfig,
+        obs_dim: usize,
+        latents: usize,
+        batch: usize,
+        rng: &mut Rng,
+        streams: bool,
+    ) -> Result<Self, TrainError> {
         let Some(&width) = config.hidden.last().filter(|_| !config.hidden.contains(&0)) else {
             let found = format!("{:?}", config.hidden);
             return Err(TrainError::config("dqn.hidden", "one width or more, each at least 1", found));
@@ -99,7 +125,8 @@ impl Dqn {
             layers.push(declare_dense(&mut layout, &format!("trunk{i}"), inputs, hidden, Init::torch(inputs)));
             inputs = hidden;
         }
-        let advantage_stream = declare_dense(&mut layout, "advantage.hidden", width, width, Init::torch(width));
+        let advantage_stream =
+            streams.then(|| declare_dense(&mut layout, "advantage.hidden", width, width, Init::torch(width)));
         let value_stream =
             config.dueling.then(|| declare_dense(&mut layout, "value.hidden", width, width, Init::torch(width)));
         let heads = Heads::declare(&mut layout, latents, config.heads, width, config.dueling);
@@ -108,9 +135,9 @@ impl Dqn {
         let mut graph = Graph::new();
         let obs = graph.input(obs_dim);
         let trunk = layers.iter().fold(obs, |x, layer| graph.dense(x, layer, true));
-        let advantage = graph.dense(trunk, &advantage_stream, true);
+        let advantage = advantage_stream.as_ref().map_or(trunk, |a| graph.dense(trunk, a, true));
         let value = value_stream.map_or(advantage, |v| graph.dense(trunk, &v, true));
-        layers.push(advantage_stream);
+        layers.extend(advantage_stream);
         let adam = Adam::new(config.adam, params.layout().trainable_len());
         let (ws, ws_next) = (graph.workspace(batch), graph.workspace(batch));
         let grads = vec![0.0; params.layout().trainable_len()];
