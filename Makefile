@@ -1,10 +1,11 @@
 # Two commands for newcomers: `make demo` and `make test`. Everything they do is in .ci/, one script each.
-.PHONY: help setup demo test
+.PHONY: help setup demo test bench-target
 
 help:
 	@echo "make setup   bring or check what is needed: MuJoCo library, Rust targets (quick when all is there)"
 	@echo "make demo    learn, export and drive InvertedPendulum over the simulated bus; then fly Hopper"
 	@echo "make test    all checks and tests, cheapest first; STAGES=\"fmt clippy\" picks some (.ci/test.py --list)"
+	@echo "make bench-target   instructions, code, weights, memory and stack on emulated Cortex-M4 and M7, with goals and budgets"
 	@echo
 	@echo "Afterwards plain cargo works too: cargo build, cargo test, cargo run --release --bin gadm -- --help"
 
@@ -16,3 +17,6 @@ demo: setup
 
 test: setup
 	@.ci/test.py $(STAGES)
+
+bench-target:
+	@.ci/bench-target.py $(if $(JSON),--json)

@@ -66,6 +66,15 @@ def stages():
         ),
         Stage("no-panic", "no panic reachable on a device", [["runtime/tests/no-panic/run.sh"]]),
         Stage(
+            "target",
+            "kernels bit-equal and within their budgets on emulated Cortex-M4 and M7",
+            [
+                ["cargo", "fmt", "--manifest-path", "firmware-sim/target-bench/Cargo.toml", "--check"],
+                [".ci/bench-target.py", "--check"],
+            ],
+            needs=("qemu-system-arm", "not run: no qemu-system-arm (Debian: apt-get install qemu-system-arm)", True),
+        ),
+        Stage(
             "runtime",
             "runtime as a device has it: without features",
             [cargo("test", "--quiet", "-p", "gadm-runtime", "--no-default-features")],

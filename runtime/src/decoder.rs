@@ -1,8 +1,8 @@
 //! Head values to actions: tanh, categorical expectation with snap, types and switches.
 
-use crate::argmax::argmax;
+use crate::argmax::top;
 use crate::interface::{ACTION_LEN, action_head};
-use crate::kernels::{ONE, exp2_neg};
+use crate::kernels::{ONE, exp2_below, exp2_neg};
 use crate::net::{
     ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, ENCODING_TYPES, HEAD_LEN, SNAP_ANY, SNAP_EDGES,
 };
@@ -25,7 +25,7 @@ pub(crate) fn emit_heads(
         let raw = match kind {
             ENCODING_TANH => tanh(rows.first().map_or(0, |&word| word.cast_signed()), frac_bits),
             ENCODING_CATEGORICAL => categorical(rows, frac_bits, snap),
-            ENCODING_TYPES => f32::from(argmax(rows)),
+            ENCODING_TYPES => f32::from(top(rows).0),
             ENCODING_SWITCH => f32::from(u8::from(rows.first().is_some_and(|&word| word.cast_signed() > 0))),
             _ => 0.0,
         };
@@ -36,51 +36,43 @@ pub(crate) fn emit_heads(
 /// `tanh` of a logit: `(1 - e) / (1 + e)` with `e = exp(-2 |l|)`, the exponential in fixed point and one division.
 fn tanh(logit: i32, frac_bits: u32) -> f32 {
     let e = exp2_neg(logit.unsigned_abs().wrapping_mul(2), frac_bits);
-    let magnitude = ratio(u64::from(ONE.wrapping_sub(e)), u64::from(ONE.wrapping_add(e)));
-    if logit < 0 { -magnitude } else { magnitude }
+    signed(u64::from(ONE.wrapping_sub(e)), u64::from(ONE.wrapping_add(e)), logit < 0)
 }
 
-/// Expectation of the softmax over atoms at `-1 + 2 j / (J - 1)`, or an atom itself under the snap rule.
+/// Expectation of the softmax over atoms at `-1 + 2 j / (J - 1)`, or an atom itself under the snap rule. No branch
+/// depends on the logits: the expectation is always computed.
 ///
 /// Source: GADM paper, extreme action regression; probability 0.9 or more snaps.
 fn categorical(logits: &mut [u32], frac_bits: u32, snap: u8) -> f32 {
-    let top = logits.iter().map(|&word| word.cast_signed()).max().unwrap_or(0);
-    let last = logits.len().saturating_sub(1) as u64;
+    let (atom, top) = top(logits);
+    let (atom, last) = (u64::from(atom), logits.len().saturating_sub(1) as u64);
+    exp2_below(logits, top, frac_bits);
     let (mut sum, mut moment) = (0u64, 0u64);
-    for (j, word) in (0u64..).zip(logits.iter_mut()) {
-        let e = exp2_neg(top.wrapping_sub(word.cast_signed()).cast_unsigned(), frac_bits);
+    for (j, &e) in (0u32..).zip(logits.iter()) {
         sum = sum.wrapping_add(u64::from(e));
-        moment = moment.wrapping_add(u64::from(e).wrapping_mul(j));
-        *word = e;
+        moment = moment.wrapping_add(u64::from(e).wrapping_mul(u64::from(j)));
     }
     // Only an atom of the largest logit can hold 0.9; there is one such atom then.
-    if snap != 0 && u64::from(ONE).wrapping_mul(10) >= sum.wrapping_mul(9) {
-        let atom = (0u64..).zip(logits.iter()).find(|&(_, &e)| e == ONE).map_or(0, |(j, _)| j);
-        if snap == SNAP_ANY || (snap == SNAP_EDGES && (atom == 0 || atom == last)) {
-            return support(atom, last);
-        }
-    }
-    // sum_j e_j (2 j - last) / (last * sum_j e_j), by sign and magnitude.
-    let (twice, centre) = (moment.wrapping_mul(2), sum.wrapping_mul(last));
-    if twice < centre { -ratio(centre.wrapping_sub(twice), centre) } else { ratio(twice.wrapping_sub(centre), centre) }
+    let sure = u64::from(ONE).wrapping_mul(10) >= sum.wrapping_mul(9);
+    let edge = (atom == 0) | (atom == last);
+    let snaps = sure & ((snap == SNAP_ANY) | ((snap == SNAP_EDGES) & edge));
+    // sum_j e_j (2 j - last) / (last * sum_j e_j), and atom j at (2 j - last) / last, which is its e_j alone.
+    let (twice, scale) = if snaps { (atom.wrapping_mul(2), 1) } else { (moment.wrapping_mul(2), sum) };
+    let centre = scale.wrapping_mul(last);
+    signed(twice.abs_diff(centre), centre, twice < centre)
 }
 
-/// Value of atom `j` of `0..=last` on -1..=1.
-fn support(j: u64, last: u64) -> f32 {
-    let twice = j.wrapping_mul(2);
-    if twice < last { -ratio(last.wrapping_sub(twice), last) } else { ratio(twice.wrapping_sub(last), last) }
-}
-
-/// `n / d` as the quotient of the nearest `f32`s: both conversions and the division are IEEE, so the bits are the same
-/// everywhere.
+/// `n / d`, negated where `negative`, as the quotient of the nearest `f32`s: both conversions and the division are IEEE,
+/// so the bits are the same everywhere. 0 for `d = 0`.
 #[expect(clippy::cast_precision_loss, reason = "rounds to the nearest f32, as stated")]
-fn ratio(n: u64, d: u64) -> f32 {
-    if d == 0 { 0.0 } else { n as f32 / d as f32 }
+fn signed(n: u64, d: u64, negative: bool) -> f32 {
+    let quotient = n as f32 / d.max(1) as f32;
+    f32::from_bits(quotient.to_bits() | (u32::from(negative) << 31))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{categorical, support, tanh};
+    use super::{categorical, tanh};
     use crate::net::{SNAP_ANY, SNAP_EDGES, SNAP_NONE};
     use std::vec::Vec;
 
@@ -140,7 +132,12 @@ mod tests {
     }
 
     #[test]
-    fn supports_are_equally_spaced() {
-        assert_eq!([0, 1, 2, 3, 4].map(|j| support(j, 4)), [-1.0, -0.5, 0.0, 0.5, 1.0]);
+    fn snapped_atoms_are_equally_spaced() {
+        let snapped = |atom: usize| {
+            let mut values = [-9.0; 5];
+            values[atom] = 9.0;
+            categorical(&mut logits(&values), F, SNAP_ANY)
+        };
+        assert_eq!([0, 1, 2, 3, 4].map(snapped), [-1.0, -0.5, 0.0, 0.5, 1.0]);
     }
 }

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![no_std]
-#![forbid(unsafe_code)]
+#![cfg_attr(not(armv7em), forbid(unsafe_code))]
+#![cfg_attr(armv7em, deny(unsafe_code))]
 #![warn(
     clippy::indexing_slicing,
     clippy::expect_used,

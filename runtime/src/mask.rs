@@ -1,6 +1,7 @@
 //! The set of latents that the confidence network allows, and the rule that makes it, in integers.
 
-use crate::kernels::{ONE, exp2_neg};
+use crate::argmax::top;
+use crate::kernels::{ONE, exp2_below};
 use crate::schema::MAX_LATENTS;
 
 const WORDS: usize = MAX_LATENTS / 32;
@@ -22,10 +23,18 @@ impl LatentMask {
     #[must_use]
     pub fn full(count: u16) -> Self {
         let mut mask = Self::empty();
-        for latent in 0..count {
-            mask.insert(latent);
+        let mut left = u32::from(count);
+        for word in &mut mask.bits {
+            // All ones where 32 or more are left, else that many.
+            *word = 1u32.checked_shl(left).map_or(u32::MAX, |bit| bit.wrapping_sub(1));
+            left = left.saturating_sub(32);
         }
         mask
+    }
+
+    /// The words of the set, latent 0 in the lowest bit of the first.
+    pub(crate) fn words(&self) -> &[u32; WORDS] {
+        &self.bits
     }
 
     /// Adds a latent; one beyond [`MAX_LATENTS`] is ignored.
@@ -50,7 +59,7 @@ impl LatentMask {
     /// Whether the set holds nothing.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.bits.iter().all(|&word| word == 0)
+        self.bits.iter().fold(0, |all, word| all | word) == 0
     }
 
     /// The latents of the set, rising.
@@ -75,39 +84,41 @@ pub(crate) struct MaskRule {
 
 impl MaskRule {
     /// The allowed set and whether the empty-mask rule made it. `logits` are `i32` as words; they are overwritten with
-    /// the exponentials.
+    /// the exponentials. No branch depends on their values: the rules for an empty mask are always computed.
     pub(crate) fn allowed(self, logits: &mut [u32]) -> (LatentMask, bool) {
-        let top = logits.iter().map(|&word| word.cast_signed()).max().unwrap_or(0);
+        // `load` keeps logits below 2^30 in magnitude, so that differences fit.
+        let (most_confident, top) = top(logits);
+        exp2_below(logits, top, self.frac_bits);
         let mut sum = 0u64;
         let mut least = ONE;
-        for word in logits.iter_mut() {
-            // `load` keeps logits below 2^30 in magnitude, so the difference fits.
-            let below = top.wrapping_sub(word.cast_signed()).cast_unsigned();
-            let e = exp2_neg(below, self.frac_bits);
+        for &e in logits.iter() {
             sum = sum.wrapping_add(u64::from(e));
             least = least.min(e);
-            *word = e;
         }
         // At most 256 * 2^30 * 2^24 = 2^62.
         let threshold = sum.wrapping_mul(u64::from(self.num));
         let mut mask = LatentMask::empty();
-        for (latent, &e) in (0u16..).zip(logits.iter()) {
-            if u64::from(e).wrapping_mul(u64::from(self.den)) > threshold {
-                mask.insert(latent);
+        for (word, logits) in mask.bits.iter_mut().zip(logits.chunks(32)) {
+            for &e in logits.iter().rev() {
+                let above = u64::from(e).wrapping_mul(u64::from(self.den)) > threshold;
+                *word = (*word << 1) | u32::from(above);
             }
         }
-        if !mask.is_empty() {
-            return (mask, false);
+        let fallback = mask.is_empty();
+        let equal = u64::from(ONE.wrapping_sub(least)).wrapping_mul(1_000_000) < sum;
+        let mut one = LatentMask::empty();
+        one.insert(most_confident);
+        let all = LatentMask::full(u16::try_from(logits.len()).unwrap_or(u16::MAX));
+        let (if_empty, if_equal) = (all_ones_if(fallback), all_ones_if(equal));
+        for ((word, one), all) in mask.bits.iter_mut().zip(one.bits).zip(all.bits) {
+            *word |= (one | (all & if_equal)) & if_empty;
         }
-        if u64::from(ONE.wrapping_sub(least)).wrapping_mul(1_000_000) < sum {
-            for (latent, _) in (0u16..).zip(logits.iter()) {
-                mask.insert(latent);
-            }
-        } else if let Some((latent, _)) = (0u16..).zip(logits.iter()).find(|&(_, &e)| e == ONE) {
-            mask.insert(latent);
-        }
-        (mask, true)
+        (mask, fallback)
     }
+}
+
+fn all_ones_if(condition: bool) -> u32 {
+    0u32.wrapping_sub(u32::from(condition))
 }
 
 #[cfg(test)]

@@ -7,16 +7,14 @@ pub const ONE: u32 = 1 << 30;
 
 /// Minimax coefficients of `2^-f` on 0..=1 (relative error 9.4e-8), exact at both ends; coefficient `i` is stored times
 /// `2^(30 + i)`, because every Horner step multiplies by half of `f`.
-const C: [i32; 6] = [1 << 30, -1_488_514_207, 1_031_553_340, -474_919_629, 157_948_181, -32_286_449];
+pub(super) const C: [i32; 6] = [1 << 30, -1_488_514_207, 1_031_553_340, -474_919_629, 157_948_181, -32_286_449];
 
 /// `2^-(x / 2^frac_bits)` as Q30, for `frac_bits` up to 24. Non-increasing in `x`; 0 from `x = 31` on.
 #[inline]
 #[must_use]
 pub fn exp2_neg(x: u32, frac_bits: u32) -> u32 {
-    let whole = x.wrapping_shr(frac_bits);
-    if whole > 30 {
-        return 0;
-    }
+    // The polynomial is at most 2^30, so a shift by 31 gives the 0 of everything smaller.
+    let whole = x.wrapping_shr(frac_bits).min(31);
     // The fraction as Q31: the integer bits fall off at the top.
     let f = (x.wrapping_shl(31u32.wrapping_sub(frac_bits)) & 0x7FFF_FFFF).cast_signed();
     let [c0, c1, c2, c3, c4, c5] = C;
