@@ -2,7 +2,7 @@
 
 use gadm_node::codec::{FrameError, Layout, Profile};
 use gadm_node::protocol::{Function, NO_LATENT, NodeId, address};
-use gadm_node::service::{Estop, Heartbeat, HostHeartbeat, Mode, Page, Reply, Request, Tick};
+use gadm_node::service::{Estop, Heartbeat, HostHeartbeat, Mode, Page, Reply, Request, Tick, TransferData};
 use gadm_node::{Fault, Flags, Frame, State};
 use gadm_runtime::Policy;
 use serde::Serialize;
@@ -96,7 +96,11 @@ impl Decoder {
             Function::HostHeartbeat => json!({ "seq": HostHeartbeat::parse(frame).ok_or_else(short)?.seq }),
             Function::Request => {
                 let r = Request::parse(frame).ok_or_else(short)?;
-                json!({ "op": r.op, "page": r.page, "tag": r.tag })
+                json!({ "op": r.op, "page": r.page, "tag": r.tag, "value": r.value })
+            }
+            Function::Transfer => {
+                let data = TransferData::parse(frame).ok_or_else(short)?;
+                json!({ "index": data.index, "bytes": data.len() })
             }
             Function::Reply => {
                 let r = Reply::parse(frame).ok_or_else(short)?;

@@ -13,6 +13,8 @@
 //! | [`safety`] | **the** table of states and transitions, and the fault codes |
 //! | [`timing`] | period jitter and bias |
 //! | [`control`] | the node itself |
+//! | [`store`], [`slots`], [`transfer`] | where policies lie: one image, or two slots in flash that the bus can fill |
+//! | [`reason`], [`settings`] | why an image is not run; what a board must know before it can talk |
 //!
 //! # Example
 //!
@@ -61,11 +63,16 @@ pub mod control;
 pub mod frame;
 pub mod link;
 pub mod protocol;
+pub mod reason;
 pub mod safety;
 pub mod service;
+pub mod settings;
 mod shaper;
 pub mod slcan;
+pub mod slots;
+pub mod store;
 pub mod timing;
+pub mod transfer;
 mod watch;
 
 pub use codec::{Flags, Layout, Profile};

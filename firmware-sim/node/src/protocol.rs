@@ -63,6 +63,8 @@ pub enum Function {
     Reply,
     /// Question to a node.
     Request,
+    /// Bytes of a policy on its way to a node.
+    Transfer,
     /// State of a node.
     Heartbeat,
     /// Sign of life of the host.
@@ -128,6 +130,8 @@ pub enum FieldKind {
     U16,
     /// Unsigned 32 bits.
     U32,
+    /// Up to so many bytes.
+    Bytes(u8),
     /// Up to so many signed 16-bit numbers, scaled by the declared range of the signal.
     I16(u8),
     /// Up to so many IEEE 754 single-precision numbers.
@@ -143,7 +147,7 @@ impl FieldKind {
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
-            Self::U8 => "u8",
+            Self::U8 | Self::Bytes(_) => "u8",
             Self::U16 => "u16",
             Self::U32 => "u32",
             Self::I16(_) => "i16",
@@ -157,7 +161,7 @@ impl FieldKind {
     #[must_use]
     pub const fn count(self) -> usize {
         match self {
-            Self::I16(n) | Self::F32(n) => n as usize,
+            Self::Bytes(n) | Self::I16(n) | Self::F32(n) => n as usize,
             _ => 1,
         }
     }
@@ -169,6 +173,7 @@ impl FieldKind {
             Self::U8 | Self::Crc8 => 1,
             Self::U16 => 2,
             Self::U32 | Self::Crc32 => 4,
+            Self::Bytes(n) => n as usize,
             Self::I16(n) => 2 * n as usize,
             Self::F32(n) => 4 * n as usize,
         }
@@ -367,7 +372,7 @@ pub const MESSAGES: &[Message] = &[
         period: Period::Event,
         classic: &[
             field("op", FieldKind::U8, "", "the operation answered; 0xFF = refused"),
-            field("page", FieldKind::U8, "", "the page asked for"),
+            field("page", FieldKind::U8, "", "as in the request; of a refused transfer operation the reason"),
             field("tag", FieldKind::U16, "", "the tag of the request"),
             field("value", FieldKind::U32, "of the page", "value, or the operation refused"),
         ],
@@ -384,12 +389,32 @@ pub const MESSAGES: &[Message] = &[
         to: Role::Node,
         period: Period::Event,
         classic: &[
-            field("op", FieldKind::U8, "", "1 = read a page"),
-            field("page", FieldKind::U8, "", "page, see HEARTBEAT"),
+            field("op", FieldKind::U8, "", "1 = read a page; 2 to 8 = policy transfer"),
+            field("page", FieldKind::U8, "", "page, see HEARTBEAT; 0 in a transfer, but 1 in BEGIN to start over"),
             field("tag", FieldKind::U16, "", "returned unchanged"),
+            field("value", FieldKind::U32, "", "argument of the operation; may be left out where it is 0"),
         ],
         fd: &[],
         doc: "asks a node; the answer comes after everything that was sent before, so it also is a barrier",
+    },
+    Message {
+        function: Function::Transfer,
+        name: "TRANSFER",
+        base: 0x640,
+        count: NODES,
+        index: Index::Node,
+        from: Role::Host,
+        to: Role::Node,
+        period: Period::Event,
+        classic: &[
+            field("index", FieldKind::U8, "", "counts the frames of a block, from 0"),
+            field("data", FieldKind::Bytes(7), "", "bytes of the block"),
+        ],
+        fd: &[
+            field("index", FieldKind::U8, "", "counts the frames of a block, from 0"),
+            field("data", FieldKind::Bytes(63), "", "bytes of the block; padding behind its end is ignored"),
+        ],
+        doc: "bytes of the open block of a policy transfer; either kind of frame, whatever the profile",
     },
     Message {
         function: Function::Heartbeat,

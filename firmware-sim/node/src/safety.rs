@@ -112,11 +112,15 @@ pub enum Fault {
     PeriodJitter = 64,
     /// Warning: the mean control period is off by more than 20 %.
     PeriodBias = 65,
+    /// Warning: a policy that should run could not, an older one runs.
+    SlotFallback = 66,
+    /// Warning: the watchdog or a fault of the core restarted the board.
+    Restarted = 67,
 }
 
 impl Fault {
     /// All faults, by number.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 16] = [
         Self::None,
         Self::PolicyLoad,
         Self::PolicySelfTest,
@@ -131,6 +135,8 @@ impl Fault {
         Self::Estop,
         Self::PeriodJitter,
         Self::PeriodBias,
+        Self::SlotFallback,
+        Self::Restarted,
     ];
 
     /// The number on the wire.
@@ -157,6 +163,8 @@ impl Fault {
             Self::Estop => "ESTOP",
             Self::PeriodJitter => "PERIOD_JITTER",
             Self::PeriodBias => "PERIOD_BIAS",
+            Self::SlotFallback => "SLOT_FALLBACK",
+            Self::Restarted => "RESTARTED",
         }
     }
 
@@ -178,6 +186,10 @@ impl Fault {
             Self::Estop => "emergency stop",
             Self::PeriodJitter => "warning: a control period was off by more than 20 %",
             Self::PeriodBias => "warning: the mean of 64 control periods is off by more than 20 %",
+            Self::SlotFallback => {
+                "warning: the policy that should run was refused, another one runs; page policy_error"
+            }
+            Self::Restarted => "warning: the watchdog or a fault of the core restarted the board; until the first RUN",
         }
     }
 

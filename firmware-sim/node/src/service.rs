@@ -156,11 +156,17 @@ pub enum Page {
     Invalid = 10,
     /// Entries into SAFE.
     SafeEntries = 11,
+    /// Byte 0: why an image was not run, a [`Reason`](crate::reason::Reason). Byte 1: its slot. In NO_POLICY every
+    /// heartbeat shows this page.
+    PolicyError = 12,
+    /// Bytes 0 and 1: states of slots 0 and 1, a [`SlotState`](crate::slots::SlotState) each. Byte 2: the slot that runs.
+    /// Byte 3: 1 where it runs on trial.
+    Slots = 13,
 }
 
 impl Page {
     /// All pages in the order in which heartbeats show them.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 14] = [
         Self::InterfaceLow,
         Self::InterfaceHigh,
         Self::PolicyCrc,
@@ -173,6 +179,8 @@ impl Page {
         Self::Sequence,
         Self::Invalid,
         Self::SafeEntries,
+        Self::PolicyError,
+        Self::Slots,
     ];
 
     /// The number on the wire.
@@ -197,6 +205,8 @@ impl Page {
             Self::Sequence => "sequence",
             Self::Invalid => "invalid",
             Self::SafeEntries => "safe_entries",
+            Self::PolicyError => "policy_error",
+            Self::Slots => "slots",
         }
     }
 
@@ -264,6 +274,24 @@ impl HostHeartbeat {
 
 /// Operation: read a page.
 pub const OP_READ: u8 = 1;
+/// Operation: announce the length of a policy image, bytes.
+pub const OP_LENGTH: u8 = 2;
+/// Operation: announce its CRC-32 and begin, or go on with, its transfer; page 1 starts over.
+pub const OP_BEGIN: u8 = 3;
+/// Operation: a block begins at the offset in `value`.
+pub const OP_BLOCK: u8 = 4;
+/// Operation: write the block whose CRC-32 is `value`.
+pub const OP_COMMIT: u8 = 5;
+/// Operation: check the whole image and stage it.
+pub const OP_END: u8 = 6;
+/// Operation: boot the staged policy on trial.
+pub const OP_ACTIVATE: u8 = 7;
+/// Operation: keep the policy on trial.
+pub const OP_CONFIRM: u8 = 8;
+/// Operation of lockstep between processes: START, a power cycle. See `docs/src/firmware.md`.
+pub const OP_START: u8 = 0x10;
+/// Operation of lockstep between processes: BARRIER, be done with all that came before.
+pub const OP_BARRIER: u8 = 0x11;
 /// Operation of a reply that refuses.
 pub const OP_REFUSED: u8 = 0xFF;
 
@@ -272,27 +300,100 @@ pub const OP_REFUSED: u8 = 0xFF;
 pub struct Request {
     /// Which node.
     pub node: u8,
-    /// Operation, see [`OP_READ`].
+    /// Operation, see [`OP_READ`] and those after it.
     pub op: u8,
-    /// [`Page`] code.
+    /// [`Page`] code; 1 in [`OP_BEGIN`] to start over; else 0.
     pub page: u8,
     /// Returned unchanged in the reply.
     pub tag: u16,
+    /// Argument of the operation; 0 where it has none.
+    pub value: u32,
 }
 
 impl Request {
-    /// As a frame.
+    /// Reads a page.
     #[must_use]
-    pub fn frame(self) -> Frame {
-        let [a, b] = self.tag.to_le_bytes();
-        make(Function::Request, self.node, &[self.op, self.page, a, b])
+    pub fn read(node: u8, page: Page, tag: u16) -> Self {
+        Self { node, op: OP_READ, page: page.code(), tag, value: 0 }
     }
 
-    /// From a frame; `None` where it is something else.
+    /// As a frame. A value of zero is not sent.
+    #[must_use]
+    pub fn frame(self) -> Frame {
+        let ([t0, t1], [a, b, c, d]) = (self.tag.to_le_bytes(), self.value.to_le_bytes());
+        let bytes = [self.op, self.page, t0, t1, a, b, c, d];
+        let len = if self.value == 0 { 4 } else { 8 };
+        make(Function::Request, self.node, bytes.get(..len).unwrap_or(&bytes))
+    }
+
+    /// From a frame; `None` where it is something else. Without a value it is zero.
     #[must_use]
     pub fn parse(frame: &Frame) -> Option<Self> {
         let (node, [op, page, a, b]) = read(frame, Function::Request)?;
-        Some(Self { node, op, page, tag: u16::from_le_bytes([a, b]) })
+        let value = frame.payload().get(4..).and_then(|rest| rest.first_chunk()).map_or(0, |v| u32::from_le_bytes(*v));
+        Some(Self { node, op, page, tag: u16::from_le_bytes([a, b]), value })
+    }
+}
+
+/// TRANSFER: bytes of the open block of a policy transfer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TransferData {
+    /// Which node.
+    pub node: u8,
+    /// Counts the frames of a block, from 0.
+    pub index: u8,
+    bytes: [u8; 63],
+    len: usize,
+}
+
+impl TransferData {
+    /// The first bytes of `bytes`: 7 in a classic frame, 63 in an FD frame. [`len`](Self::len) tells how many were taken.
+    #[must_use]
+    pub fn new(node: u8, index: u8, bytes: &[u8], fd: bool) -> Self {
+        let len = bytes.len().min(if fd { 63 } else { 7 });
+        let mut data = Self { node, index, bytes: [0; 63], len };
+        for (place, byte) in data.bytes.iter_mut().zip(bytes.iter().take(len)) {
+            *place = *byte;
+        }
+        data
+    }
+
+    /// The bytes; from an FD frame with its padding.
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
+        self.bytes.get(..self.len).unwrap_or(&[])
+    }
+
+    /// Number of bytes.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// There are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// As a frame: classic for up to 7 bytes, else FD.
+    #[must_use]
+    pub fn frame(&self) -> Frame {
+        let mut payload = [self.index; 64];
+        for (place, byte) in payload.iter_mut().skip(1).zip(self.bytes()) {
+            *place = *byte;
+        }
+        let payload = payload.get(..=self.len).unwrap_or(&[]);
+        let id = identifier(Function::Transfer, self.node, 0).map(standard);
+        let frame = id.and_then(|id| Frame::classic(id, payload).or_else(|| Frame::fd(id, payload, true)));
+        frame.unwrap_or(Frame::empty())
+    }
+
+    /// From a frame; `None` where it is something else or empty.
+    #[must_use]
+    pub fn parse(frame: &Frame) -> Option<Self> {
+        let (node, [index]) = read(frame, Function::Transfer)?;
+        Some(Self::new(node, index, frame.payload().get(1..)?, true))
     }
 }
 
@@ -303,7 +404,7 @@ pub struct Reply {
     pub node: u8,
     /// Operation answered, or [`OP_REFUSED`].
     pub op: u8,
-    /// [`Page`] code asked for.
+    /// As in the request; of a refused operation of a transfer the [`Refusal`](crate::store::Refusal).
     pub page: u8,
     /// Tag of the request.
     pub tag: u16,
@@ -349,8 +450,16 @@ mod tests {
         assert_eq!(Tick::parse(&t.frame()), Some(t));
         let h = Heartbeat { node: 1, state: 4, page: 6, fault: 3, seq: 255, value: 0xDEAD_BEEF };
         assert_eq!(Heartbeat::parse(&h.frame()), Some(h));
-        let r = Request { node: 3, op: OP_READ, page: 2, tag: 0xBEEF };
-        assert_eq!(Request::parse(&r.frame()), Some(r));
+        for value in [0, 0xDEAD_BEEF] {
+            let r = Request { node: 3, op: OP_READ, page: 2, tag: 0xBEEF, value };
+            assert_eq!(Request::parse(&r.frame()), Some(r));
+        }
+        for (len, fd) in [(0, false), (7, false), (7, true), (63, true)] {
+            let bytes: std::vec::Vec<u8> = (0..len).collect();
+            let d = TransferData::new(3, 200, &bytes, fd);
+            assert_eq!((d.len(), d.frame().payload().len()), (usize::from(len), usize::from(len) + 1));
+            assert_eq!(TransferData::parse(&d.frame()), Some(d));
+        }
         let a = Reply { node: 3, op: OP_REFUSED, page: 2, tag: 0xBEEF, value: 9 };
         assert_eq!(Reply::parse(&a.frame()), Some(a));
         let l = HostHeartbeat { seq: 9 };

@@ -5,8 +5,11 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use gadm_node::protocol::{Field, Index, MESSAGES, Message, Period};
+use gadm_node::reason::Reason;
 use gadm_node::safety::TRANSITIONS;
 use gadm_node::service::Page;
+use gadm_node::slots::SlotState;
+use gadm_node::store::Refusal;
 use gadm_node::{Event, Fault, Flags, State};
 
 /// Compares the text between `<!-- name -->` and `<!-- end -->` with the tables, or writes it with `UPDATE_DOCS=1`.
@@ -157,15 +160,54 @@ fn faults() -> String {
     t
 }
 
+fn reasons() -> String {
+    let mut t = String::from("| number | reason | meaning |\n| --- | --- | --- |\n");
+    for r in Reason::ALL {
+        writeln!(t, "| {} | {} | {} |", r.code(), r.name(), r.meaning()).unwrap();
+    }
+    t
+}
+
+fn refusals() -> String {
+    let mut t = String::from("| number | meaning |\n| --- | --- |\n");
+    for r in Refusal::ALL {
+        writeln!(t, "| {} | {} |", r.code(), r.meaning()).unwrap();
+    }
+    t
+}
+
+fn slots() -> String {
+    let mut t = String::from("| number | state | boots by itself |\n| --- | --- | --- |\n");
+    for s in SlotState::ALL {
+        let boots = match s {
+            SlotState::Flashed => "yes: a flashing tool wrote it",
+            SlotState::Confirmed => "yes",
+            _ => "no",
+        };
+        writeln!(t, "| {} | {} | {boots} |", s.code(), s.name()).unwrap();
+    }
+    t
+}
+
 #[test]
 fn protocol_page() {
     check(
         "can-protocol.md",
-        &[("messages", messages()), ("payloads", payloads()), ("flags", flags()), ("pages", pages())],
+        &[
+            ("messages", messages()),
+            ("payloads", payloads()),
+            ("flags", flags()),
+            ("pages", pages()),
+            ("refusals", refusals()),
+            ("slots", slots()),
+        ],
     );
 }
 
 #[test]
 fn safety_page() {
-    check("safety.md", &[("states", states()), ("transitions", transitions()), ("faults", faults())]);
+    check(
+        "safety.md",
+        &[("states", states()), ("transitions", transitions()), ("faults", faults()), ("reasons", reasons())],
+    );
 }

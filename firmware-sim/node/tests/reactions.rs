@@ -490,10 +490,10 @@ fn heartbeats_come_every_100_ms_and_on_change_with_all_pages() {
 #[test]
 fn requests_are_answered_in_order_and_unknown_ones_refused() {
     let mut rig = Rig::local().ready();
-    rig.push(Request { node: 1, op: OP_READ, page: Page::PolicyCrc.code(), tag: 7 }.frame());
-    rig.push(Request { node: 2, op: OP_READ, page: 0, tag: 8 }.frame());
-    rig.push(Request { node: 1, op: OP_READ, page: 200, tag: 9 }.frame());
-    rig.push(Request { node: 1, op: 77, page: 0, tag: 10 }.frame());
+    rig.push(Request { node: 1, op: OP_READ, page: Page::PolicyCrc.code(), tag: 7, value: 0 }.frame());
+    rig.push(Request { node: 2, op: OP_READ, page: 0, tag: 8, value: 0 }.frame());
+    rig.push(Request { node: 1, op: OP_READ, page: 200, tag: 9, value: 0 }.frame());
+    rig.push(Request { node: 1, op: 77, page: 0, tag: 10, value: 0 }.frame());
     let _ = rig.node.poll(rig.now);
     let replies: Vec<Reply> = rig.wire.borrow().tx.iter().filter_map(Reply::parse).collect();
     assert_eq!(

@@ -37,6 +37,11 @@ pub const SAFE: [f32; 4] = [1.0, 0.0, 0.5, 0.25];
 /// Five observations in -1..=1, four latents with one constant action each; latent `k` wins where observation `k` is
 /// the largest of the first four.
 pub fn policy_bytes(period_us: u32) -> Vec<u8> {
+    policy_version(period_us, 0, 1.0)
+}
+
+/// As [`policy_bytes`], with a sequence number, and another last value in the action of latent 0.
+pub fn policy_version(period_us: u32, policy_seq: u32, last: f32) -> Vec<u8> {
     let (obs, latents) = (5, 4);
     let mut weight = vec![0.0; latents * obs];
     for k in 0..latents {
@@ -59,7 +64,7 @@ pub fn policy_bytes(period_us: u32) -> Vec<u8> {
         beta: 0.25,
         decoder: FloatDecoder::Table {
             actions: vec![
-                vec![0.0, 1.0, -1.0, 1.0],
+                vec![0.0, 1.0, -1.0, last],
                 vec![1.0, 0.0, 1.0, -1.0],
                 vec![2.0, 1.0, 0.3, 0.7],
                 vec![0.0, 0.0, -0.2, 0.1],
@@ -71,7 +76,7 @@ pub fn policy_bytes(period_us: u32) -> Vec<u8> {
     let corners: Vec<f32> =
         (0..32).flat_map(|i| (0..obs).map(move |b| if i >> b & 1 == 1 { 1.0 } else { -1.0 })).collect();
     let q = quantise(&model, &corners, &QuantiseOptions::default()).unwrap();
-    write_int8(&q, &corners[..obs * 4], &FileOptions::default()).unwrap()
+    write_int8(&q, &corners[..obs * 4], &FileOptions { policy_seq, ..FileOptions::default() }).unwrap()
 }
 
 /// An image that lives as long as the test.
