@@ -30,6 +30,14 @@ pub enum SimError {
     /// The image is not a policy that can be run.
     #[error("not a policy that can be run: {0}; `gadm inspect` tells more, `gadm export` writes a new file")]
     Policy(LoadError),
+    /// A node in another process or on another machine does not do its part.
+    #[error("{bus}: {what}")]
+    Remote {
+        /// Where it is, or should be.
+        bus: String,
+        /// What is wrong, and what to do.
+        what: String,
+    },
     /// There is no such plant, or it cannot be made here.
     #[error("plant: {0}")]
     Plant(#[from] EnvError),

@@ -18,7 +18,7 @@
 //! | --- | --- |
 //! | [`sil`] | the loop |
 //! | [`plant_node`], [`host`] | the other two participants |
-//! | [`target`] | where the node runs |
+//! | [`target`], [`rung`] | where the node runs, and over which bus |
 //! | [`bus`] | loopback, candump traces, faults, load |
 //! | [`decode`] | frames as named signals |
 //! | [`result`] | what a run found out |
@@ -34,6 +34,7 @@ pub mod interface;
 pub mod plant_node;
 pub mod report;
 pub mod result;
+pub mod rung;
 pub mod sil;
 pub mod target;
 

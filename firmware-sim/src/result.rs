@@ -4,6 +4,7 @@ use gadm_node::Counters;
 use serde::Serialize;
 
 use crate::bus::load::{BitRate, Load};
+use crate::target::Timing;
 
 /// Version of the JSON form of [`RunResult`].
 pub const RESULT_VERSION: u32 = 1;
@@ -181,6 +182,9 @@ pub struct RunResult {
     pub node: Option<NodeSummary>,
     /// The bus.
     pub bus: BusSummary,
+    /// How well real time was kept; `None` in lockstep.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub timing: Option<Timing>,
     /// What a person should know.
     pub warnings: Vec<String>,
 }
@@ -227,6 +231,19 @@ impl RunResult {
                 load.total_percent, load.observation_frames, load.action_frames, load.sets_percent
             ),
         );
+        if let Some(t) = &self.timing {
+            let ms = |us: f64| us / 1e3;
+            let (l, j) = (&t.latency_us, &t.jitter_us);
+            row(
+                "real time",
+                format!(
+                    "{} x, {} periods, {} unanswered, {} overruns, answers take {:.1} % of the period",
+                    t.factor, t.periods, t.unanswered, t.overruns, t.load_percent
+                ),
+            );
+            row("latency", format!("p50 {:.3} ms, p99 {:.3} ms, max {:.3} ms", ms(l.p50), ms(l.p99), ms(l.max)));
+            row("jitter", format!("p50 {:.3} ms, p99 {:.3} ms, max {:.3} ms", ms(j.p50), ms(j.p99), ms(j.max)));
+        }
         for warning in &self.warnings {
             row("warning", warning.clone());
         }

@@ -95,6 +95,19 @@ pub fn run(options: &RunOptions) -> Result<RunResult, SimError> {
 /// # Errors
 /// As [`run`].
 pub fn run_with_progress(options: &RunOptions, progress: &mut dyn FnMut(Progress)) -> Result<RunResult, SimError> {
+    run_with(options, progress, |image, env, tap, progress| simulate(options, image, env, tap, progress))
+}
+
+/// Reads the policy of `options`, makes the plant and opens the trace, and lets `drive` do the rest: it gets the image, the
+/// plant and the tap.
+///
+/// # Errors
+/// As [`run`], and those of `drive`.
+pub fn run_with(
+    options: &RunOptions,
+    progress: &mut dyn FnMut(Progress),
+    drive: impl FnOnce(&[u8], Box<dyn Env>, Option<Box<dyn Tap>>, &mut dyn FnMut(Progress)) -> Result<RunResult, SimError>,
+) -> Result<RunResult, SimError> {
     let image = read_image(&options.policy)?;
     let policy = Policy::load(&image).map_err(SimError::Policy)?;
     let id = match &options.plant {
@@ -104,12 +117,12 @@ pub fn run_with_progress(options: &RunOptions, progress: &mut dyn FnMut(Progress
     };
     let env = gadm_envs::make(&id)?;
     let Some(path) = &options.trace else {
-        return simulate(options, &image, env, None, progress);
+        return drive(&image, env, None, progress);
     };
     let failed = |source| SimError::Write { path: path.clone(), source };
     let file = SharedFile(Rc::new(std::cell::RefCell::new(BufWriter::new(File::create(path).map_err(failed)?))));
     let tap: Box<dyn Tap> = Box::new(TraceWriter::new(file.clone()));
-    let result = simulate(options, &image, env, Some(tap), progress);
+    let result = drive(&image, env, Some(tap), progress);
     file.0.borrow_mut().flush().map_err(failed)?;
     result
 }
@@ -157,13 +170,30 @@ pub fn simulate_with_link<L: Link>(
     wrap: impl FnOnce(Port, &Loopback) -> L,
 ) -> Result<RunResult, SimError> {
     let policy = Policy::load(image).map_err(SimError::Policy)?;
-    interface::check(&policy, env.spec())?;
-    let bus = Loopback::new(options.bit_rate, tap);
-    let node_port = bus.port();
-    let link = wrap(node_port, &bus);
     let config = NodeConfig { profile: options.profile, time: TimeSource::Tick, ..NodeConfig::default() };
     let mut scratch = vec![0; policy.spec().scratch_words];
-    let target = InProcess::new(config, link, image, &mut scratch);
+    simulate_on(options, image, env, tap, progress, |port, bus| {
+        Ok(InProcess::new(config, wrap(port, bus), image, &mut scratch))
+    })
+}
+
+/// As [`simulate`], with the node wherever the caller has it. `make` gets the node's port and the bus, and may put a link
+/// of its own between the port and the [`Target`].
+///
+/// # Errors
+/// Everything in [`SimError`].
+pub fn simulate_on<T: Target>(
+    options: &RunOptions,
+    image: &[u8],
+    env: Box<dyn Env>,
+    tap: Option<Box<dyn Tap>>,
+    progress: &mut dyn FnMut(Progress),
+    make: impl FnOnce(Port, &Loopback) -> Result<T, SimError>,
+) -> Result<RunResult, SimError> {
+    let policy = Policy::load(image).map_err(SimError::Policy)?;
+    interface::check(&policy, env.spec())?;
+    let bus = Loopback::new(options.bit_rate, tap);
+    let target = make(bus.port(), &bus)?;
     Run::new(options, &policy, env, bus, target)?.finish(progress)
 }
 
@@ -358,6 +388,7 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
             steps: self.steps,
             virtual_s,
             node: self.target.status().map(|s| s.counters.into()),
+            timing: self.target.timing(),
             bus: BusSummary {
                 bit_rate: self.options.bit_rate,
                 load,

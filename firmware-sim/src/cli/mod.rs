@@ -1,5 +1,8 @@
 //! The command line. People read standard error, programs standard output.
 
+mod bus;
+mod hub;
+mod node;
 mod run;
 mod trace;
 
@@ -26,6 +29,12 @@ struct Cli {
 enum Command {
     /// Drive a plant with a policy over the bus, in virtual time
     Run(run::Args),
+    /// Run a policy node as a process of its own, on a bus
+    Node(node::Args),
+    /// Run plant and host on a bus where a node is already
+    Plant(run::PlantArgs),
+    /// Connect programs to one bus
+    Bus(bus::Args),
     /// Read a candump trace as named signals
     Trace(trace::Args),
 }
@@ -34,6 +43,9 @@ enum Command {
 pub(crate) fn main() -> ExitCode {
     let done = match Cli::parse().command {
         Command::Run(args) => run::main(&args),
+        Command::Node(args) => node::main(&args),
+        Command::Plant(args) => run::plant(&args),
+        Command::Bus(args) => bus::main(&args),
         Command::Trace(args) => trace::main(&args),
     };
     match done {

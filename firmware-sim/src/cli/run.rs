@@ -6,7 +6,9 @@ use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
-use gadm_sim::{BitRate, Profile, Progress, RunOptions, run_with_progress};
+use gadm_sim::bus::Address;
+use gadm_sim::rung::{Place, Rung, run_on};
+use gadm_sim::{BitRate, Profile, Progress, RunOptions};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{CRITERIA_MISSED, say};
@@ -15,18 +17,53 @@ const EXAMPLES: &str = "\
 Examples:
   gadm-sim run models/inverted-pendulum-v5/policy.bin --episodes 5
   gadm-sim run policy.bin --profile classic-i16 --trace hop.log
+  gadm-sim run policy.bin --bus socketcan:vcan0 --trace hop.log
   gadm-sim run policy.bin --episodes 100 --min-return 950 --json > result.json
 
-The same seed gives the same trace, byte for byte. In fd-f32 the returns are
-those of `gadm eval policy.bin` with the same --seed, bit for bit.
+The same seed gives the same trace, byte for byte, on every bus. In fd-f32 the
+returns are those of `gadm eval policy.bin` with the same --seed, bit for bit.
+With --realtime the wall decides, and nothing is repeatable.
 
 Exit codes: 0 ok, 1 error, 2 usage, 3 --min-return missed, 4 something is
 missing here (MuJoCo, say).";
+
+const PLANT_EXAMPLES: &str = "\
+Examples:
+  gadm-sim plant policy.bin --connect unix:/tmp/can.sock --episodes 5
+  gadm-sim plant policy.bin --connect socketcan:vcan0 --trace hop.log
+
+The other end is `gadm-sim node policy.bin --connect BUS`, which must be there
+within 10 s. This is `gadm-sim run --bus BUS --external-node`.";
 
 /// Arguments of `run`.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Args {
+    #[command(flatten)]
+    what: What,
+    /// Run the node in a process of its own, on this bus: `hub` (made for the run), unix:PATH, tcp:HOST:PORT,
+    /// serial:DEVICE, socketcan:INTERFACE [default: node and bus in this process]
+    #[arg(long, value_name = "BUS", help_heading = "Bus")]
+    bus: Option<BusArg>,
+    /// A node is on the bus already (`gadm-sim node`, or a board): start none
+    #[arg(long, requires = "bus", help_heading = "Bus")]
+    external_node: bool,
+}
+
+/// Arguments of `plant`.
+#[derive(clap::Args)]
+#[command(after_help = PLANT_EXAMPLES)]
+pub(crate) struct PlantArgs {
+    #[command(flatten)]
+    what: What,
+    /// The bus: unix:PATH, tcp:HOST:PORT, serial:DEVICE, socketcan:INTERFACE
+    #[arg(long, value_name = "BUS", help_heading = "Bus")]
+    connect: Address,
+}
+
+/// What is run, wherever.
+#[derive(clap::Args)]
+struct What {
     /// Policy file
     policy: PathBuf,
     /// Plant, by its environment id [default: what the policy was trained for]
@@ -61,10 +98,39 @@ pub(crate) struct Args {
     #[arg(long, default_value_t = BitRate::default().data, value_name = "BPS",
           value_parser = clap::value_parser!(u32).range(10_000..=8_000_000), help_heading = "Bus")]
     data_bitrate: u32,
+    /// Go by the wall's time, FACTOR times as fast, and measure latency and jitter; lockstep without this
+    #[arg(long, value_name = "FACTOR", num_args = 0..=1, default_missing_value = "1", value_parser = factor,
+          help_heading = "Bus")]
+    realtime: Option<f64>,
+}
+
+/// Where the bus is.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum BusArg {
+    /// Made for the run.
+    Hub,
+    /// There already.
+    At(Address),
+}
+
+impl std::str::FromStr for BusArg {
+    type Err = gadm_sim::bus::address::AddressError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        if text == "hub" { Ok(Self::Hub) } else { text.parse().map(Self::At) }
+    }
+}
+
+/// A factor of time.
+pub(crate) fn factor(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(factor) if (0.001..=1000.0).contains(&factor) => Ok(factor),
+        _ => Err("expected a number from 0.001 to 1000, such as 1 or 0.5".to_owned()),
+    }
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum ProfileArg {
+pub(crate) enum ProfileArg {
     /// CAN FD, exact single precision
     FdF32,
     /// Classic CAN, 16-bit integers scaled by the signal's range
@@ -80,8 +146,26 @@ impl From<ProfileArg> for Profile {
     }
 }
 
-/// Runs the command.
+/// Runs `run`.
 pub(crate) fn main(args: &Args) -> anyhow::Result<ExitCode> {
+    let program = std::env::current_exe;
+    let place = match &args.bus {
+        None => Place::InProcess,
+        Some(BusArg::Hub) => Place::Hub { program: program()? },
+        Some(BusArg::At(address)) => {
+            let program = if args.external_node { None } else { Some(program()?) };
+            Place::Bus { address: address.clone(), program }
+        }
+    };
+    drive(&args.what, place)
+}
+
+/// Runs `plant`.
+pub(crate) fn plant(args: &PlantArgs) -> anyhow::Result<ExitCode> {
+    drive(&args.what, Place::Bus { address: args.connect.clone(), program: None })
+}
+
+fn drive(args: &What, place: Place) -> anyhow::Result<ExitCode> {
     let options = RunOptions {
         policy: args.policy.clone(),
         plant: args.plant.clone(),
@@ -91,8 +175,9 @@ pub(crate) fn main(args: &Args) -> anyhow::Result<ExitCode> {
         bit_rate: BitRate { nominal: args.bitrate, data: args.data_bitrate },
         trace: args.trace.clone(),
     };
+    let rung = Rung { place, realtime: args.realtime };
     let mut display = Display::new(args.episodes, args.quiet);
-    let result = run_with_progress(&options, &mut |p| display.show(p));
+    let result = run_on(&options, &rung, &mut |p| display.show(p));
     display.clear();
     let result = result?;
     if !args.quiet {

@@ -1,8 +1,16 @@
 //! Where the node runs: linked in, or elsewhere, behind one trait.
 
 mod in_process;
+pub mod pace;
+mod paced;
+mod remote;
+mod serve;
 
 pub use in_process::InProcess;
+pub use pace::{Pace, Quantiles, Timing};
+pub use paced::Paced;
+pub use remote::{Expected, Remote};
+pub use serve::{ServeOptions, serve};
 
 use gadm_node::NodeStatus;
 
@@ -22,4 +30,27 @@ pub trait Target {
 
     /// What the node says of itself beyond its frames; `None` where frames are all there is.
     fn status(&self) -> Option<NodeStatus>;
+
+    /// How well real time was kept; `None` in lockstep.
+    fn timing(&self) -> Option<Timing> {
+        None
+    }
+}
+
+impl<T: Target + ?Sized> Target for Box<T> {
+    fn name(&self) -> &str {
+        (**self).name()
+    }
+
+    fn settle(&mut self, now_us: u64) -> Result<(), SimError> {
+        (**self).settle(now_us)
+    }
+
+    fn status(&self) -> Option<NodeStatus> {
+        (**self).status()
+    }
+
+    fn timing(&self) -> Option<Timing> {
+        (**self).timing()
+    }
 }

@@ -1,0 +1,27 @@
+//! `gadm-sim bus`: what has to do with buses themselves.
+
+use std::process::ExitCode;
+
+use clap::Subcommand;
+
+use super::hub;
+
+/// Arguments of `bus`.
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Connect programs to one bus: unix socket, TCP, pseudo-terminal, SocketCAN
+    Hub(hub::Args),
+}
+
+/// Runs the command.
+pub(crate) fn main(args: &Args) -> anyhow::Result<ExitCode> {
+    match &args.command {
+        Command::Hub(args) => hub::main(args),
+    }
+}
