@@ -7,6 +7,7 @@
 //! | [`flash`], [`clock`] | policy slots and settings; time |
 //! | [`register`] | volatile access to device registers |
 //! | [`panic`] | the link-time proof that nothing panics |
+//! | [`semihosting`] | files of the host, for the programs of the tests |
 #![no_std]
 #![deny(unsafe_op_in_unsafe_fn, clippy::undocumented_unsafe_blocks, missing_docs)]
 
@@ -15,4 +16,5 @@ pub mod clock;
 pub mod flash;
 pub mod panic;
 pub mod register;
+pub mod semihosting;
 pub mod uart_link;

@@ -86,6 +86,10 @@ impl Link for &mut UartLink {
             match Request::parse(&received).filter(|r| r.node == self.node.get()) {
                 Some(Request { op: OP_START, tag, .. }) => self.asked = Some(Asked::Start(tag)),
                 Some(Request { op: OP_BARRIER, tag, .. }) => self.asked = Some(Asked::Barrier(tag)),
+                #[cfg(feature = "hang")]
+                Some(Request { op: 0x7F, .. }) => loop {
+                    core::hint::spin_loop();
+                },
                 _ => {
                     self.received = self.received.wrapping_add(1);
                     *frame = received;

@@ -8,7 +8,8 @@ use crate::register::registers;
 /// Name of the board, as QEMU spells it.
 pub const NAME: &str = if cfg!(feature = "mps2-an500") { "mps2-an500" } else { "mps2-an386" };
 /// The policy slots.
-pub const SLOTS: [Span; 2] = [Span { address: 0x0020_0000, len: 0x8_0000 }, Span { address: 0x0028_0000, len: 0x8_0000 }];
+pub const SLOTS: [Span; 2] =
+    [Span { address: 0x0020_0000, len: 0x8_0000 }, Span { address: 0x0028_0000, len: 0x8_0000 }];
 /// The settings record.
 pub const SETTINGS: usize = 0x0030_0000;
 /// Slots can be written by the program.

@@ -11,7 +11,8 @@ use crate::register::registers;
 /// Name of the board, as QEMU spells it.
 pub const NAME: &str = "netduinoplus2";
 /// The policy slots: flash sectors 7 and 8, 9 and 10.
-pub const SLOTS: [Span; 2] = [Span { address: 0x0806_0000, len: 0x4_0000 }, Span { address: 0x080A_0000, len: 0x4_0000 }];
+pub const SLOTS: [Span; 2] =
+    [Span { address: 0x0806_0000, len: 0x4_0000 }, Span { address: 0x080A_0000, len: 0x4_0000 }];
 /// The settings record: flash sector 11.
 pub const SETTINGS: usize = 0x080E_0000;
 /// Slots cannot be written by the program.
