@@ -1,11 +1,12 @@
 //! Head values to actions: tanh, categorical expectation with snap, types and switches.
 
-use crate::argmax::top;
+use crate::argmax::{largest, top};
 use crate::interface::{ACTION_LEN, action_head};
 use crate::kernels::{ONE, exp2_below, exp2_neg};
 use crate::net::{
     ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, ENCODING_TYPES, HEAD_LEN, SNAP_ANY, SNAP_EDGES,
 };
+use core::hint::select_unpredictable;
 
 /// Gives `sink` one value per slot, in native units. `logits` are the rows of the head layer, `i32` as words, in log2
 /// units with `frac_bits` fraction bits.
@@ -44,22 +45,58 @@ fn tanh(logit: i32, frac_bits: u32) -> f32 {
 ///
 /// Source: GADM paper, extreme action regression; probability 0.9 or more snaps.
 fn categorical(logits: &mut [u32], frac_bits: u32, snap: u8) -> f32 {
-    let (atom, top) = top(logits);
-    let (atom, last) = (u64::from(atom), logits.len().saturating_sub(1) as u64);
-    exp2_below(logits, top, frac_bits);
-    let (mut sum, mut moment) = (0u64, 0u64);
-    for (j, &e) in (0u32..).zip(logits.iter()) {
-        sum = sum.wrapping_add(u64::from(e));
-        moment = moment.wrapping_add(u64::from(e).wrapping_mul(u64::from(j)));
-    }
-    // Only an atom of the largest logit can hold 0.9; there is one such atom then.
-    let sure = u64::from(ONE).wrapping_mul(10) >= sum.wrapping_mul(9);
-    let edge = (atom == 0) | (atom == last);
-    let snaps = sure & ((snap == SNAP_ANY) | ((snap == SNAP_EDGES) & edge));
+    let last = u32::try_from(logits.len()).unwrap_or(u32::MAX).wrapping_sub(1);
+    exp2_below(logits, largest(logits), frac_bits);
+    let (sum, moment) = moments(logits);
+    // The atom of the largest logit, if the rule allows it. Only that atom can hold 0.9; there is one such atom then.
+    let (found, atom) = match snap {
+        SNAP_ANY => (true, first_one(logits)),
+        SNAP_EDGES => {
+            let is_one = |e: Option<&u32>| e.copied().unwrap_or(0) == ONE;
+            let low = is_one(logits.first());
+            (low | is_one(logits.last()), select_unpredictable(low, 0, last))
+        }
+        _ => (false, 0),
+    };
+    let snaps = found & (u64::from(ONE).wrapping_mul(10) >= sum.wrapping_mul(9));
+    let (last, atom) = (u64::from(last), u64::from(atom));
     // sum_j e_j (2 j - last) / (last * sum_j e_j), and atom j at (2 j - last) / last, which is its e_j alone.
-    let (twice, scale) = if snaps { (atom.wrapping_mul(2), 1) } else { (moment.wrapping_mul(2), sum) };
+    let twice = select_unpredictable(snaps, atom, moment).wrapping_mul(2);
+    let scale = select_unpredictable(snaps, 1, sum);
     let centre = scale.wrapping_mul(last);
     signed(twice.abs_diff(centre), centre, twice < centre)
+}
+
+/// Index of the first exponential that is 1.
+fn first_one(exponentials: &[u32]) -> u32 {
+    let (mut first, mut j) = (0, u32::try_from(exponentials.len()).unwrap_or(u32::MAX));
+    for &e in exponentials.iter().rev() {
+        j = j.wrapping_sub(1);
+        if e == ONE {
+            first = j;
+        }
+    }
+    first
+}
+
+/// `sum_j e_j` and `sum_j j e_j`, by sums from the end: the sum of all partial sums but the last is the moment.
+fn moments(exponentials: &[u32]) -> (u64, u64) {
+    let (mut sum, mut moment) = (0u64, 0u64);
+    let mut add = |e: u32| {
+        moment = moment.wrapping_add(sum);
+        sum = sum.wrapping_add(u64::from(e));
+    };
+    let (rest, fours) = exponentials.as_rchunks::<4>();
+    for &[a, b, c, d] in fours.iter().rev() {
+        add(d);
+        add(c);
+        add(b);
+        add(a);
+    }
+    for &e in rest.iter().rev() {
+        add(e);
+    }
+    (sum, moment)
 }
 
 /// `n / d`, negated where `negative`, as the quotient of the nearest `f32`s: both conversions and the division are IEEE,
@@ -72,7 +109,7 @@ fn signed(n: u64, d: u64, negative: bool) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{categorical, tanh};
+    use super::{categorical, moments, tanh};
     use crate::net::{SNAP_ANY, SNAP_EDGES, SNAP_NONE};
     use std::vec::Vec;
 
@@ -129,6 +166,16 @@ mod tests {
         let expectation = categorical(&mut logits(&values), F, SNAP_EDGES);
         assert!(expectation != 0.5 && (expectation - 0.5).abs() < 0.01);
         assert_eq!(categorical(&mut logits(&values), F, SNAP_ANY), 0.5);
+    }
+
+    #[test]
+    fn moments_are_those_of_the_definition() {
+        for len in 0..12u32 {
+            let values: Vec<u32> = (0..len).map(|j| j * j + 3).collect();
+            let sum = values.iter().map(|&e| u64::from(e)).sum();
+            let moment = (0u64..).zip(&values).map(|(j, &e)| j * u64::from(e)).sum();
+            assert_eq!(moments(&values), (sum, moment));
+        }
     }
 
     #[test]

@@ -38,23 +38,17 @@ impl Range {
         Self { lo: 0, hi: 1i64.wrapping_shl(u32::from(bits)).saturating_sub(1) }
     }
 
-    /// Range after multiplication with weights of these sums of positive and of negative parts.
-    fn times(self, positive: i64, negative: i64) -> Self {
-        let lo = positive.saturating_mul(self.lo).saturating_sub(negative.saturating_mul(self.hi));
-        let hi = positive.saturating_mul(self.hi).saturating_sub(negative.saturating_mul(self.lo));
-        Self { lo, hi }
-    }
-
-    fn shifted(self, by: i64) -> Self {
-        Self { lo: self.lo.saturating_add(by), hi: self.hi.saturating_add(by) }
-    }
-
-    fn scaled(self, by: i64) -> Self {
-        Self { lo: self.lo.saturating_mul(by), hi: self.hi.saturating_mul(by) }
-    }
-
-    fn magnitude(self) -> i64 {
-        self.lo.saturating_abs().max(self.hi.saturating_abs())
+    /// Largest magnitude of `start + scale * sum` for weights of these sums by sign. At most 1024 weights of 127 and
+    /// inputs of 12 bits: 64 bits hold everything.
+    fn reach(self, sums: Tally, scale: i64, start: i32) -> i64 {
+        let magnitude = i64::from(sums.magnitude);
+        let sum = i64::from(sums.sum);
+        let (positive, negative) = (magnitude.wrapping_add(sum) >> 1, magnitude.wrapping_sub(sum) >> 1);
+        let end = |up: i64, down: i64| {
+            let total = positive.wrapping_mul(up).wrapping_sub(negative.wrapping_mul(down));
+            total.wrapping_mul(scale).wrapping_add(i64::from(start)).wrapping_abs()
+        };
+        end(self.hi, self.lo).max(end(self.lo, self.hi))
     }
 }
 
@@ -88,13 +82,6 @@ struct Proof<'a> {
     range: Range,
 }
 
-/// Sums of the weights of one row, by sign.
-#[derive(Clone, Copy, Default)]
-struct Sums {
-    positive: i64,
-    negative: i64,
-}
-
 /// Weights of one row so far; at most 1024 of magnitude 128, so 32 bits hold every sum.
 #[derive(Clone, Copy, Default)]
 struct Tally {
@@ -107,11 +94,6 @@ impl Tally {
     fn add(&mut self, weight: i32) {
         self.sum = self.sum.wrapping_add(weight);
         self.magnitude = self.magnitude.wrapping_add(weight.wrapping_abs());
-    }
-
-    fn sums(self) -> Sums {
-        let (sum, magnitude) = (i64::from(self.sum), i64::from(self.magnitude));
-        Sums { positive: magnitude.saturating_add(sum) / 2, negative: magnitude.saturating_sub(sum) / 2 }
     }
 }
 
@@ -148,17 +130,17 @@ impl Proof<'_> {
             stream = rest;
             let weights = block.get(16..).and_then(|rest| rest.get(..weights_len)).unwrap_or_default();
             let sums = self.weights(first_row, weights)?;
-            let accs = self.accumulators(first_row, block, sums)?;
+            let reach = self.accumulators(first_row, block, sums)?;
             match modulation {
                 None => {
                     let constants = block.get(weights_len.saturating_add(16)..).unwrap_or_default();
-                    self.results(first_row, accs, constants)?;
+                    self.results(first_row, reach, constants)?;
                 }
                 Some(table) => {
                     let latent_len = usize::from(self.layer.rows).next_multiple_of(4).saturating_mul(8);
                     for latent in table.chunks(latent_len.max(1)) {
                         let at = usize::from(first_row).saturating_mul(8);
-                        self.results(first_row, accs, latent.get(at..).unwrap_or_default())?;
+                        self.results(first_row, reach, latent.get(at..).unwrap_or_default())?;
                     }
                 }
             }
@@ -172,7 +154,7 @@ impl Proof<'_> {
     }
 
     /// Weights in range, padding zero; sums of the four rows.
-    fn weights(&self, first_row: u16, weights: &[u8]) -> Result<[Sums; 4], LoadError> {
+    fn weights(&self, first_row: u16, weights: &[u8]) -> Result<[Tally; 4], LoadError> {
         let mut pairs = [PairTally::default(); 2];
         let [pair0, pair1] = &mut pairs;
         let used_words = usize::from(self.layer.cols).div_ceil(2);
@@ -197,52 +179,58 @@ impl Proof<'_> {
                 return Err(LoadError::Weight { section: self.section, layer: self.index, row });
             }
         }
-        let sums = [pair0.a.sums(), pair0.b.sums(), pair1.a.sums(), pair1.b.sums()];
-        for (sums, row) in sums.iter().zip(first_row..first_row.saturating_add(4)) {
-            if row >= self.layer.rows && (sums.positive != 0 || sums.negative != 0) {
+        let sums = [pair0.a, pair0.b, pair1.a, pair1.b];
+        let mut row = first_row;
+        for sums in sums {
+            if row >= self.layer.rows && sums.magnitude != 0 {
                 return Err(self.padding(row));
             }
+            row = row.saturating_add(1);
         }
         Ok(sums)
     }
 
-    /// Ranges of the values that go into `SMMLAR`: 256 A in `a` rows, B in `b` rows.
-    fn accumulators(&self, first_row: u16, block: &[u8], sums: [Sums; 4]) -> Result<[Range; 4], LoadError> {
-        let start = |word: usize| i32_at(block, word.saturating_mul(4)).unwrap_or_default();
-        let (raw0, b0, raw1, b1) = (start(0), start(1), start(2), start(3));
-        let starts = [raw0.wrapping_sub(b0), b0, raw1.wrapping_sub(b1), b1];
-        let mut ranges = [self.range; 4];
-        let rows = first_row..first_row.saturating_add(4);
-        for ((((range, sums), start), scale), row) in
-            ranges.iter_mut().zip(sums).zip(starts).zip([256, 1, 256, 1]).zip(rows)
-        {
-            *range = self.range.times(sums.positive, sums.negative).scaled(scale).shifted(i64::from(start));
-            let found = range.magnitude();
-            if found > ACC_LIMIT {
-                return Err(self.bound(row, ACC_LIMIT, found));
+    /// Largest magnitudes of the values that go into `SMMLAR`: 256 A in `a` rows, B in `b` rows.
+    fn accumulators(&self, first_row: u16, block: &[u8], sums: [Tally; 4]) -> Result<[i64; 4], LoadError> {
+        let mut reach = [0; 4];
+        let mut row = first_row;
+        let mut at = 0usize;
+        for (reach, sums) in reach.iter_mut().zip(sums) {
+            // [raw0, b0, raw1, b1] with raw = 256 a + b.
+            let word = i32_at(block, at).unwrap_or_default();
+            let a_row = row.is_multiple_of(2);
+            at = at.saturating_add(4);
+            let start = if a_row { word.wrapping_sub(i32_at(block, at).unwrap_or_default()) } else { word };
+            *reach = self.range.reach(sums, if a_row { 256 } else { 1 }, start);
+            if *reach > ACC_LIMIT {
+                return Err(self.bound(row, ACC_LIMIT, *reach));
             }
             if row >= self.layer.rows && start != 0 {
                 return Err(self.padding(row));
             }
+            row = row.saturating_add(1);
         }
-        Ok(ranges)
+        Ok(reach)
     }
 
     /// `SMMLAR` results of four rows with `[M x 4] [P x 4]`.
-    fn results(&self, first_row: u16, accs: [Range; 4], constants: &[u8]) -> Result<(), LoadError> {
-        for ((acc, index), row) in accs.into_iter().zip(0usize..).zip(first_row..first_row.saturating_add(4)) {
-            let at = index.saturating_mul(4);
+    fn results(&self, first_row: u16, reach: [i64; 4], constants: &[u8]) -> Result<(), LoadError> {
+        let mut row = first_row;
+        let mut at = 0usize;
+        for reach in reach {
             let m = i64::from(i32_at(constants, at).unwrap_or_default());
             let p = i64::from(i32_at(constants, at.saturating_add(16)).unwrap_or_default());
             if row >= self.layer.rows && (m != 0 || p != 0) {
                 return Err(self.padding(row));
             }
             // Both ends of the range, rounded outwards: |acc m| < 2^62.
-            let product = acc.magnitude().saturating_mul(m.saturating_abs()).checked_shr(32).unwrap_or(0);
-            let found = product.saturating_add(1).saturating_add(p.saturating_abs());
+            let product = reach.wrapping_mul(m.wrapping_abs()) >> 32;
+            let found = product.wrapping_add(1).wrapping_add(p.wrapping_abs());
             if found > RESULT_LIMIT {
                 return Err(self.bound(row, RESULT_LIMIT, found));
             }
+            row = row.saturating_add(1);
+            at = at.saturating_add(4);
         }
         Ok(())
     }

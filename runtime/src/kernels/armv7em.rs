@@ -356,40 +356,60 @@ unsafe extern "C" fn layer(stream: *const u8, x: *const u32, out: *mut u32, plan
 
 /// Replaces logits (`i32` as words) by `2^-(top - logit)` as Q30; see [`exp2_neg`](super::exp2_neg).
 pub fn exp2_below(logits: &mut [u32], top: i32, frac_bits: u32) {
-    if logits.is_empty() {
+    let (pairs, last) = logits.as_chunks_mut::<2>();
+    // A product with 2^(32 - F) splits a number into whole part and fraction; there is no such factor for F = 0.
+    let factor = 1u32.wrapping_shl(32u32.wrapping_sub(frac_bits));
+    if frac_bits == 0 || frac_bits > 31 {
+        super::portable::exp2_below(logits, top, frac_bits);
         return;
     }
-    let ends = logits.as_mut_ptr_range();
-    // SAFETY: the routine reads and writes the words of the slice, which are at least one.
-    unsafe { exp2_words(ends.start, ends.end, top, frac_bits) }
+    if !pairs.is_empty() {
+        let ends = pairs.as_flattened_mut().as_mut_ptr_range();
+        // SAFETY: the routine reads and writes the words of the slice, which are at least two and even in number.
+        unsafe { exp2_words(ends.start, ends.end, top, factor) }
+    }
+    super::portable::exp2_below(last, top, frac_bits);
 }
 
-/// The words from `word` to `end`, at least one. The fraction goes as Q31 into the polynomial, the whole part, at most
-/// 31, shifts the result.
+/// The exponential of the word at `$at` behind r0, written in its place.
+macro_rules! exp2 {
+    ($at:literal) => {
+        concat!(
+            "ldr r4, [r0, #",
+            $at,
+            "]\n",
+            "sub r4, r2, r4\n",
+            "umull r4, r11, r4, r3\n",
+            "lsrs r4, r4, #1\n",
+            "usat r11, #5, r11\n",
+            "smmlar r12, r5, r4, r6\n",
+            "smmlar r12, r12, r4, r7\n",
+            "smmlar r12, r12, r4, r8\n",
+            "smmlar r12, r12, r4, r9\n",
+            "smmlar r12, r12, r4, r10\n",
+            "lsr r12, r12, r11\n",
+            "str r12, [r0, #",
+            $at,
+            "]\n",
+        )
+    };
+}
+
+/// The words from `word` to `end`: the fraction (r4, Q31) goes into the polynomial, the whole part (r11), at most 31,
+/// shifts the result.
 ///
 /// # Safety
-/// The words must be readable and writable.
+/// The words must be readable and writable, at least two and even in number.
 #[unsafe(naked)]
-unsafe extern "C" fn exp2_words(word: *mut u32, end: *mut u32, top: i32, frac_bits: u32) {
+unsafe extern "C" fn exp2_words(word: *mut u32, end: *mut u32, top: i32, factor: u32) {
     naked_asm!(
         "push.w {{r4-r11, lr}}",
-        "rsb r4, r3, #32",
         "adr r5, 2f",
         "ldmia.w r5, {{r5-r10}}",
         "1:",
-        "ldr.w r11, [r0]",
-        "sub r11, r2, r11",
-        "lsr r12, r11, r3",
-        "lsl r11, r11, r4",
-        "usat r12, #5, r12",
-        "lsr r11, r11, #1",
-        "smmlar lr, r5, r11, r6",
-        "smmlar lr, lr, r11, r7",
-        "smmlar lr, lr, r11, r8",
-        "smmlar lr, lr, r11, r9",
-        "smmlar lr, lr, r11, r10",
-        "lsr lr, lr, r12",
-        "str lr, [r0], #4",
+        exp2!("0"),
+        exp2!("4"),
+        "adds r0, #8",
         "cmp r0, r1",
         "bne 1b",
         "pop.w {{r4-r11, pc}}",

@@ -64,3 +64,68 @@ pub fn linear_layer(stream: &[u8], cols: u16, x: &[u32], out: &mut [u32]) {
         out.fill(0);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{MP_LEN, block_len, hidden_layer, linear_layer, modulated_layer};
+    use crate::kernels::{exp2_below, exp2_neg};
+    use proptest::prelude::*;
+
+    /// Words, so that the bytes start at a multiple of 4.
+    fn bytes(words: &[u32]) -> std::vec::Vec<u8> {
+        words.iter().flat_map(|word| word.to_le_bytes()).collect()
+    }
+
+    /// A block of 3 columns whose outputs are not zero, and what is written for a given cut and shift of its stream.
+    fn outputs(stream: &[u8], table: &[u8], cols: u16, bits: u32, x: &[u32]) -> [bool; 3] {
+        let (mut hidden, mut modulated, mut linear) = ([7; 2], [7; 2], [7; 4]);
+        hidden_layer(stream, cols, bits, x, &mut hidden);
+        modulated_layer(stream, cols, bits, table, x, &mut modulated);
+        linear_layer(stream, cols, x, &mut linear);
+        [hidden != [0; 2], modulated != [0; 2], linear != [0; 4]]
+    }
+
+    #[test]
+    fn what_a_kernel_relies_on_is_checked() {
+        let words = std::vec![0x0101_0101; block_len(3, false) / 4 + 1];
+        let stream = bytes(&words);
+        let table = bytes(&[0x1000_0000; MP_LEN / 4 + 1]);
+        let start = stream.as_ptr().addr().next_multiple_of(4) - stream.as_ptr().addr();
+        let stream = &stream[start..][..block_len(3, false)];
+        let start = table.as_ptr().addr().next_multiple_of(4) - table.as_ptr().addr();
+        let table = &table[start..][..MP_LEN];
+        let x = [0x0010_0010; 8];
+        assert_eq!(outputs(stream, table, 3, 8, &x), [true; 3]);
+        assert_eq!(outputs(stream, table, 3, 10, &x), [true; 3]);
+        // No such width of an activation; a linear layer has none.
+        assert_eq!(outputs(stream, table, 3, 9, &x), [false, false, true]);
+        assert_eq!(outputs(stream, table, 0, 8, &x), [false; 3]);
+        // Columns beyond the stream, inputs that miss the padding.
+        assert_eq!(outputs(stream, table, 17, 8, &[0; 16]), [false; 3]);
+        assert_eq!(outputs(stream, table, 3, 8, &x[..7]), [false; 3]);
+        // A byte short; the block of a modulated layer is shorter.
+        let short = &stream[..stream.len() - 1];
+        assert_eq!(outputs(short, table, 3, 8, &x), [false, true, false]);
+        assert_eq!(outputs(&stream[..block_len(3, true) - 1], table, 3, 8, &x), [false; 3]);
+        assert_eq!(outputs(stream, &table[..MP_LEN - 1], 3, 8, &x), [true, false, true]);
+        // Not at a multiple of 4.
+        let long = bytes(&std::vec![0x0101_0101; 64]);
+        let start = long.as_ptr().addr().next_multiple_of(4) - long.as_ptr().addr();
+        assert_eq!(outputs(&long[start + 2..], table, 3, 8, &x), [false; 3]);
+        assert_eq!(outputs(&long[start + 4..], table, 3, 8, &x), [true; 3]);
+    }
+
+    proptest! {
+        #[test]
+        fn lists_of_exponentials_are_single_ones(
+            logits in proptest::collection::vec(-(1i32 << 30) + 1..1 << 30, 0..70), frac_bits in 0u32..=24
+        ) {
+            let top = logits.iter().copied().max().unwrap_or(0);
+            let mut found: std::vec::Vec<u32> = logits.iter().map(|logit| logit.cast_unsigned()).collect();
+            exp2_below(&mut found, top, frac_bits);
+            for (logit, e) in logits.iter().zip(found) {
+                prop_assert_eq!(e, exp2_neg(top.wrapping_sub(*logit).cast_unsigned(), frac_bits));
+            }
+        }
+    }
+}

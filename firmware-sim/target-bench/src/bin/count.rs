@@ -114,6 +114,8 @@ fn main() -> ! {
         network(&counter, words, kernels, "q", &[11, 256, 256, 128, 64], false);
         network(&counter, words, kernels, "confidence", &[11, 256, 256, 64], false);
         network(&counter, words, kernels, "decoder", &[11, 256, 256, 256, 153], true);
+        network(&counter, words, kernels, "decoder_plain", &[11, 256, 256, 256, 153], false);
+        network(&counter, words, kernels, "q_tail", &[256, 128, 64], false);
         network(&counter, words, kernels, "small", &[10, 128, 128, 64, 16], false);
         network(&counter, words, kernels, "tiny", &[13, 64, 64, 4], false);
     }
