@@ -96,6 +96,14 @@ pub enum SimError {
         /// How often it was polled.
         polls: u32,
     },
+    /// This machine lacks something.
+    #[error("{what}; {next}")]
+    Lacking {
+        /// What.
+        what: String,
+        /// What to do.
+        next: String,
+    },
     /// A participant could not put a frame on the bus.
     #[error("the bus did not take a frame of the {participant} at {now_us} us: {source}")]
     Bus {
@@ -123,7 +131,7 @@ impl SimError {
     #[must_use]
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::Plant(EnvError::Feature { .. } | EnvError::Model { .. }) => 4,
+            Self::Plant(EnvError::Feature { .. } | EnvError::Model { .. }) | Self::Lacking { .. } => 4,
             _ => 1,
         }
     }

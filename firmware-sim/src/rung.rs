@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use gadm_node::{Link, NodeConfig, NodeStatus};
+use gadm_node::{Link, NodeConfig, NodeStatus, TimeSource};
 use gadm_runtime::Policy;
 
 use crate::bus::hub::{Hub, Options};
@@ -22,6 +22,7 @@ use crate::bus::load::BitRate;
 use crate::bus::loopback::Loopback;
 use crate::bus::{self, Address};
 use crate::sil::{policy_layout, run_with};
+use crate::target::qemu::{Board, Emulator};
 use crate::target::{Expected, InProcess, Pace, Paced, Remote, Target, Timing};
 use crate::{Progress, RunOptions, RunResult, SimError};
 
@@ -46,6 +47,8 @@ pub enum Place {
         /// The program whose `node` command is started for it; `None` = somebody else has put a node there.
         program: Option<PathBuf>,
     },
+    /// On an emulated board.
+    Board(Board),
 }
 
 /// Where the node is, and what time is.
@@ -85,6 +88,7 @@ impl Rung {
     ) -> Result<Box<dyn Target + 'p>, SimError> {
         let policy = Policy::load(job.image).map_err(SimError::Policy)?;
         let pace = self.realtime.map(|factor| Pace::new(factor, policy.spec().control_period_us));
+        let mut emulator = None;
         let (address, program, hub) = match &self.place {
             Place::InProcess => {
                 let node = InProcess::new(job.config, link, job.image, job.scratch);
@@ -94,6 +98,11 @@ impl Rung {
                 });
             }
             Place::Bus { address, program } => (address.clone(), program.as_ref(), None),
+            Place::Board(board) => {
+                let time = if pace.is_some() { TimeSource::Local } else { TimeSource::Tick };
+                let board = emulator.insert(board.power_on(job.image, &NodeConfig { time, ..job.config })?);
+                (Address::Unix(board.socket().to_owned()), None, None)
+            }
             Place::Hub { program } => {
                 let path = std::env::temp_dir().join(format!("gadm-sim-{}.sock", std::process::id()));
                 let mut hub = Hub::new(Options::default(), None, |_| {});
@@ -101,7 +110,10 @@ impl Rung {
                 (Address::Unix(path), Some(program), Some(hub))
             }
         };
-        let name = address.to_string();
+        let name = match &self.place {
+            Place::Board(board) => board.machine.to_string(),
+            _ => address.to_string(),
+        };
         let joined = bus::open(&address, job.bit_rate).map_err(|e| failed(&name, &e))?;
         let child = program.map(|p| spawn(p, &address, &job, self.realtime)).transpose()?;
         let expected = Expected {
@@ -113,7 +125,7 @@ impl Rung {
             patience: PATIENCE,
         };
         let inner = Remote::start(link, local.clone(), joined, expected, pace)?;
-        Ok(Box::new(Spawned { inner, _child: child, _hub: hub }))
+        Ok(Box::new(Spawned { inner, _child: child, _emulator: emulator, _hub: hub }))
     }
 }
 
@@ -166,6 +178,7 @@ fn spawn(program: &Path, address: &Address, job: &Job<'_>, realtime: Option<f64>
 struct Spawned<T> {
     inner: T,
     _child: Option<NodeProcess>,
+    _emulator: Option<Emulator>,
     _hub: Option<Hub>,
 }
 

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use clap::ValueEnum;
 use gadm_sim::bus::Address;
 use gadm_sim::rung::{Place, Rung, run_on};
+use gadm_sim::target::qemu::{Board, Machine};
 use gadm_sim::{BitRate, Profile, Progress, RunOptions};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -18,6 +19,7 @@ Examples:
   gadm-sim run models/inverted-pendulum-v5/policy.bin --episodes 5
   gadm-sim run policy.bin --profile classic-i16 --trace hop.log
   gadm-sim run policy.bin --bus socketcan:vcan0 --trace hop.log
+  gadm-sim run policy.bin --target qemu:mps2-an386 --trace hop.log
   gadm-sim run policy.bin --episodes 100 --min-return 950 --json > result.json
 
 The same seed gives the same trace, byte for byte, on every bus. In fd-f32 the
@@ -48,6 +50,13 @@ pub(crate) struct Args {
     /// A node is on the bus already (`gadm-sim node`, or a board): start none
     #[arg(long, requires = "bus", help_heading = "Bus")]
     external_node: bool,
+    /// Run the node as firmware on a board that QEMU emulates: qemu:mps2-an386 (Cortex-M4F), qemu:mps2-an500 (Cortex-M7),
+    /// qemu:netduinoplus2 (STM32F405)
+    #[arg(long, value_name = "TARGET", conflicts_with = "bus", help_heading = "Bus")]
+    target: Option<Machine>,
+    /// Firmware of that board [default: target/firmware/BOARD.elf, from firmware-sim/firmware/build.sh]
+    #[arg(long, value_name = "ELF", requires = "target", help_heading = "Bus")]
+    firmware: Option<PathBuf>,
 }
 
 /// Arguments of `plant`.
@@ -149,8 +158,12 @@ impl From<ProfileArg> for Profile {
 /// Runs `run`.
 pub(crate) fn main(args: &Args) -> anyhow::Result<ExitCode> {
     let program = std::env::current_exe;
+    let board = args.target.map(|machine| {
+        let board = Board::new(machine);
+        Board { firmware: args.firmware.clone().unwrap_or(board.firmware), ..board }
+    });
     let place = match &args.bus {
-        None => Place::InProcess,
+        None => board.map_or(Place::InProcess, Place::Board),
         Some(BusArg::Hub) => Place::Hub { program: program()? },
         Some(BusArg::At(address)) => {
             let program = if args.external_node { None } else { Some(program()?) };

@@ -3,6 +3,7 @@
 mod in_process;
 pub mod pace;
 mod paced;
+pub mod qemu;
 mod remote;
 mod serve;
 
