@@ -23,6 +23,7 @@
 //! | [`decode`] | frames as named signals |
 //! | [`result`] | what a run found out |
 //! | [`report`] | pages that show it |
+//! | [`monitor`] | a bus as a person watches it |
 
 #![cfg_attr(test, allow(clippy::unwrap_used, reason = "a test may fail loudly"))]
 
@@ -31,6 +32,7 @@ pub mod decode;
 mod error;
 pub mod host;
 pub mod interface;
+pub mod monitor;
 pub mod plant_node;
 pub mod report;
 pub mod result;

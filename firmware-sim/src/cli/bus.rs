@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use clap::Subcommand;
 
-use super::hub;
+use super::{hub, monitor};
 
 /// Arguments of `bus`.
 #[derive(clap::Args)]
@@ -17,11 +17,14 @@ pub(crate) struct Args {
 enum Command {
     /// Connect programs to one bus: unix socket, TCP, pseudo-terminal, SocketCAN
     Hub(hub::Args),
+    /// Watch a bus or a trace: signals, rates, load, gaps, latents, nodes
+    Monitor(monitor::Args),
 }
 
 /// Runs the command.
 pub(crate) fn main(args: &Args) -> anyhow::Result<ExitCode> {
     match &args.command {
         Command::Hub(args) => hub::main(args),
+        Command::Monitor(args) => monitor::main(args),
     }
 }

@@ -1,7 +1,11 @@
 //! The command line. People read standard error, programs standard output.
 
 mod bus;
+mod completions;
+mod doctor;
 mod hub;
+mod man;
+mod monitor;
 mod node;
 mod run;
 mod trace;
@@ -37,6 +41,12 @@ enum Command {
     Bus(bus::Args),
     /// Read a candump trace as named signals
     Trace(trace::Args),
+    /// Say what this machine can do, and how to get the rest
+    Doctor(doctor::Args),
+    /// Write a script that completes commands in a shell
+    Completions(completions::Args),
+    /// Write manual pages
+    Man(man::Args),
 }
 
 /// Runs the program.
@@ -47,6 +57,9 @@ pub(crate) fn main() -> ExitCode {
         Command::Plant(args) => run::plant(&args),
         Command::Bus(args) => bus::main(&args),
         Command::Trace(args) => trace::main(&args),
+        Command::Doctor(args) => doctor::main(&args),
+        Command::Completions(args) => completions::main(&args),
+        Command::Man(args) => man::main(&args),
     };
     match done {
         Ok(code) => code,

@@ -5,7 +5,7 @@ use std::fmt::{Result, Write as _};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-use super::page::{Block, Cell, Page, Picture};
+use super::page::{Block, Cell, Mark, Page, Picture};
 use super::svg::escape;
 
 /// The page's style: a readable column, light or dark as the reader's system has it, colours that the colour-blind
@@ -106,7 +106,7 @@ fn write_caption(out: &mut String, caption: &str) -> Result {
 }
 
 fn write_cell(out: &mut String, open: &str, close: &str, cell: &Cell) -> Result {
-    let mut classes: Vec<&str> = cell.mark.map(|mark| mark.class()).into_iter().collect();
+    let mut classes: Vec<&str> = cell.mark.map(Mark::class).into_iter().collect();
     classes.extend(cell.numeric.then_some("number"));
     classes.extend(cell.heat.map(|_| "heat"));
     write!(out, "<{open}")?;
@@ -125,7 +125,6 @@ fn data_uri(picture: &Picture) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::page::Mark;
     use super::super::svg::Svg;
     use super::*;
 

@@ -3,8 +3,10 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`page`] | a page: verdicts, tables, figures, pictures, commands |
+//! | [`chart`] | lines, dots, columns and timelines |
 //! | [`svg`] | drawing elements with every text escaped |
 
+pub mod chart;
 mod html;
 pub mod page;
 pub mod svg;

@@ -9,6 +9,8 @@
 
 #[cfg(feature = "mujoco")]
 pub(crate) mod body;
+#[cfg(feature = "render")]
+mod camera;
 pub(crate) mod classic;
 pub(crate) mod field;
 #[cfg(feature = "render")]
@@ -18,6 +20,8 @@ mod pixels;
 mod scene;
 mod svg;
 
+#[cfg(feature = "render")]
+pub use camera::{Camera, Shot};
 #[cfg(feature = "render")]
 pub use film::{Film, Pace};
 #[cfg(feature = "render")]
