@@ -114,6 +114,33 @@ pub enum SimError {
         /// Why.
         source: gadm_node::LinkError,
     },
+    /// A scenario file has a mistake.
+    #[error("{}{}: {what}", path.display(), line.map(|l| format!(":{l}")).unwrap_or_default())]
+    Scenario {
+        /// The file.
+        path: PathBuf,
+        /// Line, from 1, where it can be told.
+        line: Option<usize>,
+        /// What is wrong.
+        what: String,
+    },
+    /// A folder holds another campaign.
+    #[error(
+        "{} holds a campaign of another scenario, policy or criteria (campaign.json); name another folder with -o, or remove it",
+        path.display()
+    )]
+    Campaign {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A fault cannot be injected here.
+    #[error("fault `{name}`: {what}")]
+    Fault {
+        /// Name of the fault.
+        name: String,
+        /// Why.
+        what: String,
+    },
     /// A line of a trace is not one.
     #[error("{} line {line}: {source}; the file must be a `candump -L` log", path.display())]
     Trace {

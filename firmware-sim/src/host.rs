@@ -39,6 +39,15 @@ impl<L: Link> Host<L> {
         self.mode(ModeCommand::Stop)
     }
 
+    /// Asks the node to forget everything and to boot.
+    ///
+    /// # Errors
+    /// Where the bus does not take the frame.
+    pub fn reset(&mut self) -> Result<(), LinkError> {
+        self.wants_run = false;
+        self.mode(ModeCommand::Reset)
+    }
+
     /// Reads what came and sends what is due at `now_us`.
     ///
     /// # Errors

@@ -19,7 +19,9 @@
 //! | [`sil`] | the loop |
 //! | [`plant_node`], [`host`] | the other two participants |
 //! | [`target`], [`rung`] | where the node runs, and over which bus |
-//! | [`bus`] | loopback, candump traces, faults, load |
+//! | [`bus`] | loopback, candump traces, load |
+//! | [`fault`], [`scenario`], [`campaign`] | what goes wrong, what to run and what must hold; many of them |
+//! | [`soak`] | a long run |
 //! | [`decode`] | frames as named signals |
 //! | [`result`] | what a run found out |
 //! | [`report`] | pages that show it |
@@ -28,8 +30,10 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, reason = "a test may fail loudly"))]
 
 pub mod bus;
+pub mod campaign;
 pub mod decode;
 mod error;
+pub mod fault;
 pub mod host;
 pub mod interface;
 pub mod monitor;
@@ -37,7 +41,9 @@ pub mod plant_node;
 pub mod report;
 pub mod result;
 pub mod rung;
+pub mod scenario;
 pub mod sil;
+pub mod soak;
 pub mod target;
 
 pub use bus::load::BitRate;

@@ -4,9 +4,10 @@ use gadm_envs::{Env, Step};
 use gadm_node::assemble::{Assembler, Pushed};
 use gadm_node::codec::{Decision, FrameError, Layout};
 use gadm_node::protocol::{MAX_ACTIONS, NO_LATENT};
-use gadm_node::safety::STALE_LIMIT;
+use gadm_node::safety::{HOLD_LIMIT, STALE_LIMIT};
 use gadm_node::service::Tick;
 use gadm_node::{Flags, Frame, Link, LinkError};
+use gadm_runtime::ActionHead;
 
 /// What the plant's actuators did in one control period.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,6 +18,12 @@ pub struct Applied {
     pub flags: Flags,
     /// Latent; [`NO_LATENT`] for none.
     pub latent: u16,
+    /// The actuators have the safe action or a step of the ramp to it: the node's, or by themselves.
+    pub safe: bool,
+    /// Periods since the actuators had a new decision or a safe action; 0 where they have one now.
+    pub age: u64,
+    /// The applied action is finite and within the bounds of its heads.
+    pub legal: bool,
 }
 
 /// An environment on a bus.
@@ -25,7 +32,11 @@ pub struct PlantNode<L> {
     link: L,
     layout: Layout,
     obs: Vec<f32>,
+    /// What was sent instead of `obs`.
+    sensed: Vec<f32>,
+    /// What the actuators were asked for, and what they do.
     action: Vec<f32>,
+    applied: Vec<f32>,
     safe: Vec<f32>,
     period_us: u64,
     tick: u32,
@@ -34,6 +45,7 @@ pub struct PlantNode<L> {
     header: Option<(Flags, u16)>,
     decision: Option<Decision>,
     silent: u32,
+    age: u64,
     errors: u64,
 }
 
@@ -54,7 +66,9 @@ impl<L: Link> PlantNode<L> {
         let safe: Vec<f32> = spec.actions.iter().map(|a| a.safe).collect();
         Self {
             obs: vec![0.0; spec.obs_dim()],
+            sensed: vec![0.0; spec.obs_dim()],
             action: safe.clone(),
+            applied: safe.clone(),
             safe,
             period_us: u64::from(spec.control_period_us),
             env,
@@ -66,6 +80,7 @@ impl<L: Link> PlantNode<L> {
             header: None,
             decision: None,
             silent: 0,
+            age: 0,
             errors: 0,
         }
     }
@@ -75,6 +90,7 @@ impl<L: Link> PlantNode<L> {
         self.env.reset(seed, &mut self.obs);
         self.action.clone_from(&self.safe);
         self.silent = 0;
+        self.age = 0;
     }
 
     /// Virtual time at which the next control period starts, microseconds.
@@ -82,28 +98,31 @@ impl<L: Link> PlantNode<L> {
         self.periods * self.period_us
     }
 
-    /// Starts a control period: TICK, then the observation set.
+    /// Starts a control period: TICK, then the observation set as `sensors` leave it.
     ///
     /// # Errors
     /// Where the bus does not take a frame.
-    pub fn sense(&mut self) -> Result<(), LinkError> {
+    pub fn sense(&mut self, sensors: impl FnOnce(&mut [f32])) -> Result<(), LinkError> {
+        self.sensed.copy_from_slice(&self.obs);
+        sensors(&mut self.sensed);
         let time_us = self.now_us() as u32; // modulo 2^32 by the protocol
         self.link.send(&Tick { tick: self.tick, time_us }.frame())?;
         let seq = self.layout.profile().seq(self.tick);
         for part in 0..self.layout.observation_parts() {
-            if let Some(frame) = self.layout.observation_frame(part, seq, &self.obs) {
+            if let Some(frame) = self.layout.observation_frame(part, seq, &self.sensed) {
                 self.link.send(&frame)?;
             }
         }
         Ok(())
     }
 
-    /// Applies the action set of this period for one period. Without one, the last action is held, and from the third
-    /// period in a row on the actuators take their safe values by themselves.
+    /// Applies the action set of this period for one period, as `actuators` do it. Without one, the last action is held,
+    /// and from the third period in a row on the actuators take their safe values by themselves; so they do where nothing
+    /// but repeated actions came for longer than a node may repeat one.
     ///
     /// # Errors
     /// Where the bus fails.
-    pub fn drive(&mut self) -> Result<(Step, Applied), LinkError> {
+    pub fn drive(&mut self, actuators: impl FnOnce(&mut [f32])) -> Result<(Step, Applied), LinkError> {
         let seq = self.layout.profile().seq(self.tick);
         (self.header, self.decision) = (None, None);
         let mut frame = Frame::empty();
@@ -118,9 +137,6 @@ impl<L: Link> PlantNode<L> {
             self.silent = 0;
         } else {
             self.silent += 1;
-            if self.silent >= STALE_LIMIT {
-                self.action.clone_from(&self.safe);
-            }
         }
         self.set.abandon();
         let (flags, latent) = match (fresh, self.decision, self.header) {
@@ -128,10 +144,23 @@ impl<L: Link> PlantNode<L> {
             (true, None, Some(h)) => h,
             _ => (Flags::default(), NO_LATENT),
         };
-        let step = self.env.step(&self.action, &mut self.obs);
+        let repeated = !fresh || flags.contains(Flags::HELD);
+        self.age = if repeated { self.age + 1 } else { 0 };
+        let alone = self.silent >= STALE_LIMIT || self.age > u64::from(HOLD_LIMIT);
+        if alone {
+            self.action.clone_from(&self.safe);
+        }
+        let safe = alone || (fresh && flags.contains(Flags::SAFE));
+        if safe {
+            self.age = 0;
+        }
+        self.applied.copy_from_slice(&self.action);
+        actuators(&mut self.applied);
+        let legal = self.applied.iter().zip(&self.env.spec().actions).all(|(v, a)| within(*v, a.head));
+        let step = self.env.step(&self.applied, &mut self.obs);
         self.tick = self.tick.wrapping_add(1);
         self.periods += 1;
-        Ok((step, Applied { fresh, flags, latent }))
+        Ok((step, Applied { fresh, flags, latent, safe, age: self.age, legal }))
     }
 
     fn take(&mut self, frame: &Frame, seq: u16) {
@@ -151,9 +180,19 @@ impl<L: Link> PlantNode<L> {
         }
     }
 
-    /// The action that the actuators have.
+    /// The action that the actuators were asked for.
     pub fn action(&self) -> &[f32] {
         &self.action
+    }
+
+    /// The action that the actuators took.
+    pub fn applied(&self) -> &[f32] {
+        &self.applied
+    }
+
+    /// The environment, to disturb it.
+    pub fn env_mut(&mut self) -> &mut dyn Env {
+        self.env.as_mut()
     }
 
     /// The observation of the period to come.
@@ -164,5 +203,17 @@ impl<L: Link> PlantNode<L> {
     /// Frames of the node that were dropped for a wrong CRC, kind or length.
     pub fn errors(&self) -> u64 {
         self.errors
+    }
+}
+
+/// Finite and within the bounds, with the half step that rounding in `classic-i16` may add.
+fn within(value: f32, head: ActionHead) -> bool {
+    match head {
+        ActionHead::Continuous { lo, hi } => {
+            let slack = (hi - lo) * 1e-6;
+            value >= lo - slack && value <= hi + slack
+        }
+        ActionHead::Discrete { n } => value.fract() == 0.0 && value >= 0.0 && value < f32::from(n),
+        ActionHead::Binary => value == 0.0 || value == 1.0,
     }
 }

@@ -4,6 +4,7 @@ use gadm_node::Counters;
 use serde::Serialize;
 
 use crate::bus::load::{BitRate, Load};
+use crate::fault::{Fault, Span};
 use crate::target::Timing;
 
 /// Version of the JSON form of [`RunResult`].
@@ -37,6 +38,42 @@ pub struct EpisodeResult {
     pub clipped: u64,
     /// Periods with the flag `late`.
     pub late: u64,
+    /// Longest row of periods in which the actuators had neither a new decision nor a safe action.
+    pub max_action_age: u64,
+    /// Periods in which an applied action was not finite or beyond the bounds of its head.
+    pub out_of_bounds: u64,
+    /// What faults did; `None` in a run without.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub faults: Option<EpisodeFaults>,
+    /// When faults were injected.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub fault_spans: Vec<Span>,
+}
+
+/// What faults did to one episode. Times in control periods from the first injected fault on.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct EpisodeFaults {
+    /// Tick of the first injected fault; `None` where there was none.
+    pub first_tick: Option<u64>,
+    /// Time to the first sign of it: a flag, a missing answer, a counter or the heartbeat; `None` = never.
+    pub detected_after: Option<u64>,
+    /// Time to the safe action, or the first step of the ramp to it, at the actuators; `None` = never.
+    pub safe_after: Option<u64>,
+    /// Largest distance of an applied action from the policy's decision on the true observation, from the first fault on,
+    /// as a fraction of the range of the action.
+    pub worst_action_error: f64,
+}
+
+/// A fault of a run.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct FaultReport {
+    /// The fault as the scenario has it.
+    #[serde(flatten)]
+    pub fault: Fault,
+    /// How often it was injected.
+    pub injected: u64,
+    /// What is counted: frames, ticks, …
+    pub counts: &'static str,
 }
 
 /// Mean and spread of the returns.
@@ -151,6 +188,29 @@ impl From<Counters> for NodeSummary {
     }
 }
 
+impl NodeSummary {
+    /// Both together.
+    #[must_use]
+    pub fn plus(self, other: Self) -> Self {
+        Self {
+            acted: self.acted.saturating_add(other.acted),
+            held: self.held.saturating_add(other.held),
+            safe: self.safe.saturating_add(other.safe),
+            missed: self.missed.saturating_add(other.missed),
+            late: self.late.saturating_add(other.late),
+            torn: self.torn.saturating_add(other.torn),
+            sequence: self.sequence.saturating_add(other.sequence),
+            crc_errors: self.crc_errors.saturating_add(other.crc_errors),
+            invalid: self.invalid.saturating_add(other.invalid),
+            clipped: self.clipped.saturating_add(other.clipped),
+            fallback: self.fallback.saturating_add(other.fallback),
+            safe_entries: self.safe_entries.saturating_add(other.safe_entries),
+            refused: self.refused.saturating_add(other.refused),
+            bus_errors: self.bus_errors.saturating_add(other.bus_errors),
+        }
+    }
+}
+
 /// A whole run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RunResult {
@@ -180,6 +240,9 @@ pub struct RunResult {
     pub virtual_s: f64,
     /// The node's counters; `None` where the target tells frames only.
     pub node: Option<NodeSummary>,
+    /// The faults that were asked for, in the order of the scenario.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub faults: Vec<FaultReport>,
     /// The bus.
     pub bus: BusSummary,
     /// How well real time was kept; `None` in lockstep.
@@ -243,6 +306,9 @@ impl RunResult {
             );
             row("latency", format!("p50 {:.3} ms, p99 {:.3} ms, max {:.3} ms", ms(l.p50), ms(l.p99), ms(l.max)));
             row("jitter", format!("p50 {:.3} ms, p99 {:.3} ms, max {:.3} ms", ms(j.p50), ms(j.p99), ms(j.max)));
+        }
+        for f in &self.faults {
+            row("fault", format!("{}: {} {} injected", f.fault.name, f.injected, f.counts));
         }
         for warning in &self.warnings {
             row("warning", warning.clone());

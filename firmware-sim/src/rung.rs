@@ -141,7 +141,7 @@ pub fn run_on(options: &RunOptions, rung: &Rung, progress: &mut dyn FnMut(Progre
     run_with(options, progress, |image, env, tap, progress| {
         let policy = Policy::load(image).map_err(SimError::Policy)?;
         let mut scratch = vec![0; policy.spec().scratch_words];
-        let config = NodeConfig { profile: options.profile, ..NodeConfig::default() };
+        let config = crate::sil::node_config(options);
         let job = Job { policy: &options.policy, image, config, bit_rate: options.bit_rate, scratch: &mut scratch };
         crate::sil::simulate_on(options, image, env, tap, progress, |port, bus| rung.target(port, bus, job))
     })
@@ -189,6 +189,10 @@ impl<T: Target> Target for Spawned<T> {
 
     fn settle(&mut self, now_us: u64) -> Result<(), SimError> {
         self.inner.settle(now_us)
+    }
+
+    fn power_cycle(&mut self) -> Result<(), SimError> {
+        self.inner.power_cycle()
     }
 
     fn status(&self) -> Option<NodeStatus> {

@@ -17,8 +17,9 @@ use crate::bus::load::{BitRate, load};
 use crate::bus::loopback::{Loopback, Port, Tap};
 use crate::bus::trace::TraceWriter;
 use crate::host::Host;
+use crate::fault::{Fault, FaultyLink, Injector, Signs, Watch};
 use crate::plant_node::PlantNode;
-use crate::result::{BusSummary, EpisodeResult, PolicySummary, RESULT_VERSION, ReturnSummary, RunResult};
+use crate::result::{BusSummary, EpisodeResult, NodeSummary, PolicySummary, RESULT_VERSION, ReturnSummary, RunResult};
 use crate::target::{InProcess, Target};
 use crate::{SimError, episode_seed, interface};
 
@@ -45,6 +46,8 @@ pub struct RunOptions {
     pub bit_rate: BitRate,
     /// Where to write the trace.
     pub trace: Option<PathBuf>,
+    /// What goes wrong.
+    pub faults: Vec<Fault>,
 }
 
 impl RunOptions {
@@ -58,6 +61,7 @@ impl RunOptions {
             profile: Profile::FdF32,
             bit_rate: BitRate::default(),
             trace: None,
+            faults: Vec::new(),
         }
     }
 }
@@ -156,8 +160,8 @@ pub fn simulate(
     simulate_with_link(options, image, env, tap, progress, |port, _| port)
 }
 
-/// As [`simulate`], with a link of the caller's between the bus and the node: a
-/// [`FaultyLink`](crate::bus::fault::FaultyLink), say. `wrap` gets the node's port and the bus.
+/// As [`simulate`], with a link of the caller's between the bus and the node. `wrap` gets the node's port, with the faults
+/// of the options on it, and the bus.
 ///
 /// # Errors
 /// Everything in [`SimError`].
@@ -167,10 +171,10 @@ pub fn simulate_with_link<L: Link>(
     env: Box<dyn Env>,
     tap: Option<Box<dyn Tap>>,
     progress: &mut dyn FnMut(Progress),
-    wrap: impl FnOnce(Port, &Loopback) -> L,
+    wrap: impl FnOnce(FaultyLink<Port>, &Loopback) -> L,
 ) -> Result<RunResult, SimError> {
     let policy = Policy::load(image).map_err(SimError::Policy)?;
-    let config = NodeConfig { profile: options.profile, time: TimeSource::Tick, ..NodeConfig::default() };
+    let config = node_config(options);
     let mut scratch = vec![0; policy.spec().scratch_words];
     simulate_on(options, image, env, tap, progress, |port, bus| {
         Ok(InProcess::new(config, wrap(port, bus), image, &mut scratch))
@@ -188,13 +192,23 @@ pub fn simulate_on<T: Target>(
     env: Box<dyn Env>,
     tap: Option<Box<dyn Tap>>,
     progress: &mut dyn FnMut(Progress),
-    make: impl FnOnce(Port, &Loopback) -> Result<T, SimError>,
+    make: impl FnOnce(FaultyLink<Port>, &Loopback) -> Result<T, SimError>,
 ) -> Result<RunResult, SimError> {
     let policy = Policy::load(image).map_err(SimError::Policy)?;
     interface::check(&policy, env.spec())?;
     let bus = Loopback::new(options.bit_rate, tap);
-    let target = make(bus.port(), &bus)?;
-    Run::new(options, &policy, env, bus, target)?.finish(progress)
+    let layout = policy_layout(&policy, options.profile)?;
+    let injector = Injector::new(options, env.spec(), &layout, &bus)?;
+    let target = make(injector.link(bus.port()), &bus)?;
+    Run::new(options, &policy, env, bus, target, layout, injector).finish(progress)
+}
+
+/// How a run sets up its node.
+#[must_use]
+pub fn node_config(options: &RunOptions) -> NodeConfig {
+    // A timer that is off can only be seen by a node that has one.
+    let time = if Injector::needs_timer(&options.faults) { TimeSource::Local } else { TimeSource::Tick };
+    NodeConfig { profile: options.profile, time, ..NodeConfig::default() }
 }
 
 struct Run<'o, 'p, T> {
@@ -209,6 +223,10 @@ struct Run<'o, 'p, T> {
     period_us: u32,
     latent_counts: Vec<u64>,
     steps: u64,
+    injector: Injector,
+    watch: Watch<'p>,
+    /// What the node counted before its last power cycle.
+    counted: NodeSummary,
 }
 
 impl<'o, 'p, T: Target> Run<'o, 'p, T> {
@@ -218,10 +236,11 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
         env: Box<dyn Env>,
         bus: Loopback,
         target: T,
-    ) -> Result<Self, SimError> {
-        let layout = policy_layout(policy, options.profile)?;
+        layout: Layout,
+        injector: Injector,
+    ) -> Self {
         let spec = env.spec();
-        Ok(Self {
+        Self {
             options,
             policy,
             host: Host::new(bus.port(), NodeId::DEFAULT),
@@ -233,7 +252,10 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
             layout,
             latent_counts: vec![0; usize::from(policy.spec().num_latents)],
             steps: 0,
-        })
+            watch: Watch::new(*policy, injector.any()),
+            injector,
+            counted: NodeSummary::default(),
+        }
     }
 
     fn finish(mut self, progress: &mut dyn FnMut(Progress)) -> Result<RunResult, SimError> {
@@ -268,9 +290,16 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
             fallback: 0,
             clipped: 0,
             late: 0,
+            max_action_age: 0,
+            out_of_bounds: 0,
+            faults: None,
+            fault_spans: Vec::new(),
         };
         self.plant.reset(seed);
         self.bus.set_time(self.plant.now_us());
+        self.injector.begin_episode();
+        self.watch.begin_episode();
+        self.recover()?;
         for _ in 0..RUN_REQUESTS {
             self.sent("host", |s| s.host.run())?;
             self.settle()?;
@@ -284,10 +313,18 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
         while !(e.terminated || e.truncated) {
             let now_us = self.plant.now_us();
             self.bus.set_time(now_us);
+            if self.injector.begin_tick(e.steps, now_us, self.plant.env_mut())? {
+                self.power_cycle()?;
+            }
             self.sent("host", |s| s.host.step(now_us))?;
-            self.sent("plant", |s| s.plant.sense())?;
+            self.sent("plant", |s| s.plant.sense(|obs| s.injector.sense(obs)))?;
             self.settle()?;
-            let (step, applied) = self.sent("plant", |s| s.plant.drive())?;
+            self.watch.decide(self.plant.observation());
+            let (step, applied) = self.sent("plant", |s| s.plant.drive(|action| s.injector.actuate(action)))?;
+            let signs = Signs { applied, fault: self.host.fault(), counted: self.node_counted() };
+            self.watch.observe(e.steps, self.injector.first_tick(), &signs, self.plant.applied());
+            e.max_action_age = e.max_action_age.max(applied.age);
+            e.out_of_bounds += u64::from(!applied.legal);
             e.ret += step.reward;
             e.steps += 1;
             (e.terminated, e.truncated) = (step.terminated, step.truncated);
@@ -306,10 +343,13 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
             if self.steps.is_multiple_of(256) {
                 progress(self.steps);
             }
-            if self.host.state() == Some(State::Fault) {
+            if self.host.state() == Some(State::Fault) && !self.injector.any() {
                 self.expect(State::Run)?;
             }
         }
+        let (first_tick, spans) = self.injector.end_episode(self.plant.env_mut())?;
+        e.faults = self.injector.any().then(|| self.watch.end_episode(first_tick));
+        e.fault_spans = spans;
         self.bus.set_time(self.plant.now_us());
         self.sent("host", |s| s.host.stop())?;
         self.settle()?;
@@ -318,10 +358,35 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
 
     /// Lets the node and the host handle everything that is on the bus.
     fn settle(&mut self) -> Result<(), SimError> {
-        self.target.settle(self.plant.now_us())?;
+        if self.injector.node_runs() {
+            self.target.settle(self.injector.node_time_us(self.plant.now_us()))?;
+        }
         self.sent("host", |s| s.host.listen())?;
         let failed = |source| SimError::Write { path: self.options.trace.clone().unwrap_or_default(), source };
         self.bus.check().map_err(failed)
+    }
+
+    /// After an episode with faults: a node that did not find its way back is started again, so that every episode begins
+    /// alike. Without faults this is left to the host, and an emergency stop always is.
+    fn recover(&mut self) -> Result<(), SimError> {
+        let lost = self.host.state() != Some(State::Ready) && self.host.fault() != gadm_node::Fault::Estop;
+        if !self.injector.any() || !lost {
+            return Ok(());
+        }
+        self.counted = self.node_counted().unwrap_or_default();
+        self.sent("host", |s| s.host.reset())?;
+        self.settle()?;
+        self.expect(State::Ready)
+    }
+
+    fn power_cycle(&mut self) -> Result<(), SimError> {
+        self.counted = self.node_counted().unwrap_or_default();
+        self.target.power_cycle()
+    }
+
+    /// What the node counted in the whole run, power cycles included.
+    fn node_counted(&self) -> Option<NodeSummary> {
+        self.target.status().map(|s| self.counted.plus(s.counters.into()))
     }
 
     fn sent<R>(
@@ -368,6 +433,7 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
             warnings.push(format!("trained for `{}`, run on `{}`", provenance.environment, self.plant_id));
         }
         let returns: Vec<f64> = episodes.iter().map(|e| e.ret).collect();
+        let node = self.node_counted();
         RunResult {
             version: RESULT_VERSION,
             policy: PolicySummary {
@@ -387,7 +453,8 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
             latent_counts: self.latent_counts,
             steps: self.steps,
             virtual_s,
-            node: self.target.status().map(|s| s.counters.into()),
+            node,
+            faults: self.injector.report(),
             timing: self.target.timing(),
             bus: BusSummary {
                 bit_rate: self.options.bit_rate,

@@ -7,7 +7,7 @@ use gadm_node::frame::{extended, standard};
 use gadm_node::protocol::NO_LATENT;
 use gadm_node::safety::{HOLD_LIMIT, TRANSITIONS};
 use gadm_node::service::{Mode, ModeCommand, Tick};
-use gadm_node::{Flags, Frame, Profile, State, TimeSource};
+use gadm_node::{Fault, Flags, Frame, Profile, State, TimeSource};
 use gadm_runtime::ActionHead;
 use proptest::prelude::*;
 use support::{GOOD, HEADS, Rig, T};
@@ -169,6 +169,7 @@ fn check(profile: Profile, time: TimeSource, ops: &[Op]) -> Result<(), TestCaseE
     rig.mode(ModeCommand::Run);
     let (mut seen_acts, mut sets, mut last_act_seq) = (rig.acts.len(), 0_u32, None);
     let (mut alive_us, mut before) = (rig.now, rig.status);
+    let mut since_good = 0_u32;
     for op in ops {
         apply(&mut rig, op);
         let now = rig.status;
@@ -235,8 +236,27 @@ fn check(profile: Profile, time: TimeSource, ops: &[Op]) -> Result<(), TestCaseE
             let silent = rig.now - alive_us;
             prop_assert!(silent <= 3 * T + T / 5, "in control {silent} us after the last decision");
         }
+        // Safe within three periods of any loss: a TICK that the node takes, without a decision, is a period lost.
+        let ticked =
+            matches!(op, Op::Period | Op::Silent | Op::Invalid | Op::Early | Op::Torn | Op::Damaged) && c.sequence == b.sequence;
+        if now.state != State::Run || before.state != State::Run || c.acted > b.acted {
+            since_good = 0;
+        } else if ticked && !rig.wire.borrow().off {
+            since_good += 1;
+            prop_assert!(since_good <= HOLD_LIMIT, "in control for {since_good} periods without a decision");
+            if time == TimeSource::Tick {
+                let held_us = rig.now - alive_us;
+                prop_assert!(held_us <= 3 * T + T / 5, "in control {held_us} us after the last decision");
+            }
+        }
         if now.state == State::Safe && before.state == State::Run {
             prop_assert_eq!(c.safe_entries, b.safe_entries + 1);
+            prop_assert!(now.fault != Fault::None, "SAFE without a reason");
+        }
+        if !reset {
+            // Counters tell one story: what was entered was sent, what was decided was not missed.
+            prop_assert!(c.held <= c.missed && c.clipped <= c.acted && c.fallback <= c.acted, "{c:?}");
+            prop_assert!(c.acted - b.acted <= 1 + u32::from(matches!(op, Op::Any { .. })), "two decisions at once");
         }
         before = now;
     }

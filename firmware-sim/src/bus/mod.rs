@@ -1,8 +1,7 @@
-//! Buses: the one in process and those between processes; traces, load, faults.
+//! Buses: the one in process and those between processes; traces, load.
 
 pub mod address;
 pub mod exchange;
-pub mod fault;
 pub mod hub;
 pub mod load;
 pub mod lockstep;

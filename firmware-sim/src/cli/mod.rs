@@ -1,6 +1,7 @@
 //! The command line. People read standard error, programs standard output.
 
 mod bus;
+mod campaign;
 mod completions;
 mod doctor;
 mod hub;
@@ -8,6 +9,7 @@ mod man;
 mod monitor;
 mod node;
 mod run;
+mod soak;
 mod trace;
 
 use std::io::Write;
@@ -39,6 +41,10 @@ enum Command {
     Plant(run::PlantArgs),
     /// Connect programs to one bus
     Bus(bus::Args),
+    /// Run every fault of a scenario at every intensity, on all cores
+    Campaign(campaign::Args),
+    /// Run a million steps over a hub with random faults, and account for every frame
+    Soak(soak::Args),
     /// Read a candump trace as named signals
     Trace(trace::Args),
     /// Say what this machine can do, and how to get the rest
@@ -56,6 +62,8 @@ pub(crate) fn main() -> ExitCode {
         Command::Node(args) => node::main(&args),
         Command::Plant(args) => run::plant(&args),
         Command::Bus(args) => bus::main(&args),
+        Command::Campaign(args) => campaign::main(&args),
+        Command::Soak(args) => soak::main(&args),
         Command::Trace(args) => trace::main(&args),
         Command::Doctor(args) => doctor::main(&args),
         Command::Completions(args) => completions::main(&args),

@@ -187,6 +187,7 @@ fn drive(args: &What, place: Place) -> anyhow::Result<ExitCode> {
         profile: args.profile.into(),
         bit_rate: BitRate { nominal: args.bitrate, data: args.data_bitrate },
         trace: args.trace.clone(),
+        faults: Vec::new(),
     };
     let rung = Rung { place, realtime: args.realtime };
     let mut display = Display::new(args.episodes, args.quiet);

@@ -55,7 +55,7 @@ pub const CATALOGUE: &[Row] = rows! {
     "bus" "disconnect" "ticks" "frames" "ticks = 10" "the cable of the target is cut for so many ticks";
     "bus" "bit-rate" "ticks" "frames" "ticks = 10" "the node runs at another bit rate for so many ticks";
     "bus" "overflow" "capacity" "frames" "capacity = 1" "of the frames of a tick, the first so many are received";
-    "node" "reset" "every" "times" "every = 200" "power cycle";
+    "node" "reset" "ticks" "times" "ticks = 1, every = 200" "no power for so many ticks, then a boot";
     "node" "hang" "ticks" "ticks" "ticks = 4" "the program stands still";
     "node" "clock-drift" "ppm" "ticks" "ppm = 100.0" "the node runs on its own timer, which is off";
     "node" "slow-inference" "ticks" "decisions" "ticks = 1, p = 0.1" "the answer is so many ticks late";

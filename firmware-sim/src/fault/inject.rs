@@ -60,6 +60,8 @@ pub(super) struct Shared {
     first_tick: Option<u64>,
     spans: Vec<Span>,
     struck: Vec<Option<u64>>,
+    /// The node has no power before this.
+    dark_until: u64,
     /// Identifier of a babbling participant, and time that is left on the bus in this tick.
     babble: Option<(u32, u64)>,
     bit_rate: BitRate,
@@ -113,10 +115,10 @@ impl Shared {
         }
         let tick = self.tick;
         self.first_tick.get_or_insert(tick);
-        let last = self.spans.iter_mut().rev().find(|s| s.fault == index);
-        match last {
+        let room = self.spans.len() < SPANS;
+        match self.spans.iter_mut().rev().find(|s| s.fault == index) {
             Some(s) if tick <= s.to + 1 => (s.to, s.count) = (tick, s.count + n),
-            _ if self.spans.len() < SPANS => self.spans.push(Span { fault: index, from: tick, to: tick, count: n }),
+            _ if room => self.spans.push(Span { fault: index, from: tick, to: tick, count: n }),
             _ => {}
         }
     }
@@ -133,6 +135,11 @@ impl Shared {
             *left -= needed;
         }
         free
+    }
+
+    /// The node has no power.
+    pub(super) fn dark(&self) -> bool {
+        self.running && self.now < self.dark_until
     }
 
     /// When an answer that is sent now leaves a slow node; `None` = at once.
@@ -282,7 +289,7 @@ impl Injector {
         shared.cycled = true;
         shared.first_tick = None;
         shared.spans.clear();
-        (shared.slow_until, shared.decided) = (0, None);
+        (shared.slow_until, shared.decided, shared.dark_until) = (0, None, 0);
         for sensor in &mut self.sensors {
             sensor.states.iter_mut().for_each(|(_, s)| *s = SensorState::default());
         }
@@ -312,20 +319,22 @@ impl Injector {
         if !self.any() {
             return Ok(false);
         }
-        let mut cycle = false;
         let mut babble: Option<(u32, u64)> = None;
         {
             let mut shared = self.shared.borrow_mut();
             (shared.running, shared.tick) = (true, tick);
             shared.now += 1;
         }
+        // It boots when the power comes back; what it did in the dark is forgotten.
+        let mut cycle = self.shared.borrow().dark_until == self.shared.borrow().now;
         for (index, fault) in self.faults.iter().enumerate() {
             let mut shared = self.shared.borrow_mut();
             let active = shared.active(fault.window);
             match &fault.kind {
-                Kind::Node(NodeFault::Reset { every }) => {
+                Kind::Node(NodeFault::Reset { ticks, every }) => {
                     if shared.strikes(index, fault.window, *every) {
                         shared.hit(index, 1);
+                        shared.dark_until = shared.now + u64::from(*ticks);
                         cycle = true;
                     }
                 }

@@ -225,6 +225,11 @@ impl<L: Link> Link for FaultyLink<L> {
             return self.inner.receive(frame);
         }
         self.forget();
+        if self.shared.borrow().dark() {
+            let mut lost = Frame::empty();
+            while self.inner.receive(&mut lost)? {}
+            return Ok(false);
+        }
         if self.off() {
             let mut lost = Frame::empty();
             while self.inner.receive(&mut lost)? {}
@@ -247,6 +252,9 @@ impl<L: Link> Link for FaultyLink<L> {
     fn send(&mut self, frame: &Frame) -> Result<(), LinkError> {
         if self.shared.borrow().idle() {
             return self.inner.send(frame);
+        }
+        if self.shared.borrow().dark() {
+            return Ok(());
         }
         if self.off() {
             return Err(LinkError::BusOff);

@@ -9,8 +9,11 @@ use super::spec::{Check, one};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum NodeFault {
-    /// Power cycle at the start of the window.
+    /// The power fails at the start of the window; then the node boots.
     Reset {
+        /// Ticks without power.
+        #[serde(default = "one_tick")]
+        ticks: u32,
         /// Again after so many ticks; 0 = once.
         #[serde(default)]
         every: u32,
@@ -35,10 +38,17 @@ pub enum NodeFault {
     },
 }
 
+fn one_tick() -> u32 {
+    1
+}
+
 impl NodeFault {
     pub(super) fn check(&self, check: &mut Check) {
         match *self {
-            Self::Reset { every } => check.count("every", every, 0, 1_000_000),
+            Self::Reset { ticks, every } => {
+                check.count("ticks", ticks, 1, 1_000_000);
+                check.count("every", every, 0, 1_000_000);
+            }
             Self::Hang { ticks } => check.count("ticks", ticks, 1, 1_000_000),
             Self::ClockDrift { ppm } => check.range("ppm", ppm, -900_000.0, 10_000_000.0),
             Self::SlowInference { ticks, p } => {

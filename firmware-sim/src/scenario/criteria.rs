@@ -85,18 +85,25 @@ impl Criteria {
         }
     }
 
-    /// Judges a run. `nominal` is the same run without faults; without it [`min_return_ratio`](Self::min_return_ratio)
-    /// compares the run with itself where it has no faults, and is missed where it has.
+    /// The criteria that make sense for a run without faults.
     #[must_use]
-    pub fn judge(&self, result: &RunResult, nominal: Option<&RunResult>) -> Verdict {
+    pub fn without_faults(self) -> Self {
+        Self { max_time_to_detect: None, max_time_to_safe: None, max_action_error: None, min_injected: None, ..self }
+    }
+
+    /// Judges a run. `nominal` is the mean return of the same run without faults; without it
+    /// [`min_return_ratio`](Self::min_return_ratio) compares the run with itself where it has no faults, and is missed
+    /// where it has.
+    #[must_use]
+    pub fn judge(&self, result: &RunResult, nominal: Option<f64>) -> Verdict {
         let mut v = Verdict { passed: true, criteria: Vec::new() };
         let e = &result.episodes;
         if let Some(limit) = self.min_return {
             v.at_least("min_return", limit, Some(result.returns.mean));
         }
         if let Some(limit) = self.min_return_ratio {
-            let clean = if result.faults.is_empty() { Some(result) } else { nominal };
-            let ratio = clean.map(|n| ratio(result.returns.mean, n.returns.mean));
+            let clean = if result.faults.is_empty() { Some(result.returns.mean) } else { nominal };
+            let ratio = clean.map(|nominal| return_ratio(result.returns.mean, nominal));
             v.at_least("min_return_ratio", limit, ratio);
         }
         let hit: Vec<_> = e.iter().filter_map(|e| e.faults.filter(|f| f.first_tick.is_some()).map(|f| (e, f))).collect();
@@ -131,8 +138,8 @@ impl Criteria {
         if let Some(limit) = least {
             v.push("min_injected", format!("at least {limit}"), injected.to_string(), injected >= limit);
         }
-        for f in result.faults.iter().filter(|f| f.injected == 0) {
-            v.push("min_injected", "at least 1".into(), format!("0 of `{}`", f.name), false);
+        for f in result.faults.iter().filter(|f| f.injected == 0 && result.faults.len() > 1) {
+            v.push("min_injected", "at least 1".into(), format!("0 of `{}`", f.fault.name), false);
         }
         if let Some(limit) = self.max_bus_load {
             let load = result.bus.load.total_percent;
@@ -148,7 +155,8 @@ fn lasts(e: &EpisodeResult, first_tick: Option<u64>, limit: u64) -> bool {
 }
 
 /// Part of the nominal return that is left; 1 where it is not lower, also for returns that are not positive.
-fn ratio(found: f64, nominal: f64) -> f64 {
+#[must_use]
+pub fn return_ratio(found: f64, nominal: f64) -> f64 {
     if nominal > 0.0 {
         found / nominal
     } else if found >= nominal {

@@ -8,7 +8,7 @@ mod remote;
 mod serve;
 
 pub use in_process::InProcess;
-pub use pace::{Pace, Quantiles, Timing};
+pub use pace::{Bin, Pace, Quantiles, Timing};
 pub use paced::Paced;
 pub use remote::{Expected, Remote};
 pub use serve::{ServeOptions, serve};
@@ -29,6 +29,15 @@ pub trait Target {
     /// Where the node cannot be reached or does not come to rest.
     fn settle(&mut self, now_us: u64) -> Result<(), SimError>;
 
+    /// Takes the node's power away and gives it back: it forgets everything and boots.
+    ///
+    /// # Errors
+    /// Where this target cannot do it.
+    fn power_cycle(&mut self) -> Result<(), SimError> {
+        let what = format!("target `{}` cannot be power-cycled from here; run in process", self.name());
+        Err(SimError::Fault { name: "reset".to_owned(), what })
+    }
+
     /// What the node says of itself beyond its frames; `None` where frames are all there is.
     fn status(&self) -> Option<NodeStatus>;
 
@@ -45,6 +54,10 @@ impl<T: Target + ?Sized> Target for Box<T> {
 
     fn settle(&mut self, now_us: u64) -> Result<(), SimError> {
         (**self).settle(now_us)
+    }
+
+    fn power_cycle(&mut self) -> Result<(), SimError> {
+        (**self).power_cycle()
     }
 
     fn status(&self) -> Option<NodeStatus> {

@@ -38,6 +38,10 @@ impl<T: Target> Target for Paced<T> {
         self.inner.settle(now_us)
     }
 
+    fn power_cycle(&mut self) -> Result<(), SimError> {
+        self.inner.power_cycle()
+    }
+
     fn status(&self) -> Option<NodeStatus> {
         self.inner.status()
     }

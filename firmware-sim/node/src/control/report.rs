@@ -26,8 +26,9 @@ impl<'p, L: Link, S: Store<'p>> ControlNode<'p, L, S> {
                 self.make_safe(Event::CrcErrors, Fault::CrcErrors);
             } else if local && since_tick > self.silence_us() {
                 self.make_safe(Event::TickLost, Fault::TickLost);
-            } else if local && now.saturating_sub(self.good_at_us) > u64::from(HOLD_LIMIT) * period + period / 5 {
-                // Ticks count periods; where they do not come, the timer does, with the tolerance of the period.
+            } else if now.saturating_sub(self.good_at_us) > u64::from(HOLD_LIMIT) * period + period / 5 {
+                // Ticks count periods; where they do not come, or come slower than agreed, the time does, with the
+                // tolerance of the period.
                 self.make_safe(Event::ObservationLost, Fault::ObservationLost);
             }
         }
