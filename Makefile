@@ -1,11 +1,12 @@
 # Two commands for newcomers: `make demo` and `make test`. Everything they do is in .ci/, one script each.
-.PHONY: help setup demo test bench-target
+.PHONY: help setup demo test bench-target soak
 
 help:
 	@echo "make setup   bring or check what is needed: MuJoCo library, Rust targets (quick when all is there)"
 	@echo "make demo    learn, export and drive InvertedPendulum over the simulated bus; then fly Hopper"
 	@echo "make test    all checks and tests, cheapest first; STAGES=\"fmt clippy\" picks some (.ci/test.py --list)"
 	@echo "make bench-target   instructions, code, weights, memory and stack on emulated Cortex-M4 and M7, with goals and budgets"
+	@echo "make soak    a million control steps over a hub with random faults: every frame accounted for, memory flat"
 	@echo
 	@echo "Afterwards plain cargo works too: cargo build, cargo test, cargo run --release --bin gadm -- --help"
 
@@ -20,3 +21,6 @@ test: setup
 
 bench-target:
 	@.ci/bench-target.py $(if $(JSON),--json)
+
+soak: setup
+	cargo run --locked --release -p gadm-sim --bin gadm-sim -- soak models/inverted-pendulum-v5/policy.bin $(if $(STEPS),--steps $(STEPS))
