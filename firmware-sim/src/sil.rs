@@ -19,6 +19,7 @@ use crate::bus::trace::TraceWriter;
 use crate::host::Host;
 use crate::fault::{Fault, FaultyLink, Injector, Signs, Watch};
 use crate::plant_node::PlantNode;
+use crate::report::Recording;
 use crate::result::{BusSummary, EpisodeResult, NodeSummary, PolicySummary, RESULT_VERSION, ReturnSummary, RunResult};
 use crate::target::{InProcess, Target};
 use crate::{SimError, episode_seed, interface};
@@ -48,6 +49,8 @@ pub struct RunOptions {
     pub trace: Option<PathBuf>,
     /// What goes wrong.
     pub faults: Vec<Fault>,
+    /// Watches the first episode for a report.
+    pub record: Option<Recording>,
 }
 
 impl RunOptions {
@@ -62,6 +65,7 @@ impl RunOptions {
             bit_rate: BitRate::default(),
             trace: None,
             faults: Vec::new(),
+            record: None,
         }
     }
 }
@@ -119,14 +123,21 @@ pub fn run_with(
         None if policy.provenance().environment.is_empty() => return Err(SimError::NoPlant),
         None => policy.provenance().environment.to_owned(),
     };
-    let env = gadm_envs::make(&id)?;
+    let mut env = gadm_envs::make(&id)?;
+    if let Some(recording) = &options.record {
+        env = recording.watch_env(env);
+    }
+    let watched = |tap| match &options.record {
+        Some(recording) => Some(recording.watch_bus(tap)),
+        None => tap,
+    };
     let Some(path) = &options.trace else {
-        return drive(&image, env, None, progress);
+        return drive(&image, env, watched(None), progress);
     };
     let failed = |source| SimError::Write { path: path.clone(), source };
     let file = SharedFile(Rc::new(std::cell::RefCell::new(BufWriter::new(File::create(path).map_err(failed)?))));
     let tap: Box<dyn Tap> = Box::new(TraceWriter::new(file.clone()));
-    let result = drive(&image, env, Some(tap), progress);
+    let result = drive(&image, env, watched(Some(tap)), progress);
     file.0.borrow_mut().flush().map_err(failed)?;
     result
 }

@@ -8,6 +8,7 @@ mod hub;
 mod man;
 mod monitor;
 mod node;
+mod report;
 mod run;
 mod soak;
 mod trace;

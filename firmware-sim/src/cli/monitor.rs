@@ -37,9 +37,9 @@ const BATCH: usize = 20_000;
 /// Arguments of `bus monitor`.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
-#[group(id = "from", required = true, args = ["bus", "trace"])]
 pub(crate) struct Args {
     /// The bus: unix:PATH, tcp:HOST:PORT, serial:DEVICE, socketcan:INTERFACE
+    #[arg(required_unless_present = "trace", conflicts_with = "trace")]
     bus: Option<Address>,
     /// Read a candump trace instead; - is standard input
     #[arg(long, value_name = "FILE")]

@@ -7,12 +7,14 @@ use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
 use gadm_sim::bus::Address;
+use gadm_sim::report::Recording;
 use gadm_sim::rung::{Place, Rung, run_on};
 use gadm_sim::target::qemu::{Board, Machine};
+use gadm_sim::scenario::Criteria;
 use gadm_sim::{BitRate, Profile, Progress, RunOptions};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::{CRITERIA_MISSED, say};
+use super::{CRITERIA_MISSED, report, say};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -90,6 +92,9 @@ struct What {
     /// Write all frames to FILE, as `candump -L` does
     #[arg(long, value_name = "FILE", help_heading = "Output")]
     trace: Option<PathBuf>,
+    /// Write a report for people: one HTML file with verdict, film, plots and the command to repeat
+    #[arg(long, value_name = "FILE.html", help_heading = "Output")]
+    report: Option<PathBuf>,
     /// Print the whole result as JSON on standard output
     #[arg(long, help_heading = "Output")]
     json: bool,
@@ -188,16 +193,25 @@ fn drive(args: &What, place: Place) -> anyhow::Result<ExitCode> {
         bit_rate: BitRate { nominal: args.bitrate, data: args.data_bitrate },
         trace: args.trace.clone(),
         faults: Vec::new(),
+        record: args.report.is_some().then(Recording::default),
     };
     let rung = Rung { place, realtime: args.realtime };
     let mut display = Display::new(args.episodes, args.quiet);
     let result = run_on(&options, &rung, &mut |p| display.show(p));
     display.clear();
     let result = result?;
+    if let (Some(path), Some(recording)) = (&args.report, &options.record) {
+        let asked = args.min_return.map(|_| Criteria { min_return: args.min_return, ..Criteria::default() });
+        let verdict = asked.map(|criteria| criteria.judge(&result, None));
+        report::write(path, &options, recording, &result, verdict.as_ref())?;
+    }
     if !args.quiet {
         say(result.table().trim_end());
         if let Some(path) = &args.trace {
             say(&format!("  {:<18} {} frames in {}", "trace", result.bus.frames, path.display()));
+        }
+        if let Some(path) = &args.report {
+            say(&format!("  {:<18} {}", "report", path.display()));
         }
     }
     if args.json {

@@ -59,6 +59,39 @@ pub struct Quantiles {
     pub mean: f64,
     /// Number of samples.
     pub n: usize,
+    /// Equal columns from the smallest sample to the 99 % quantile, and one for the rest.
+    pub histogram: Vec<Bin>,
+}
+
+/// One column of a histogram: the samples above `from` up to `to`; in the first column also `from` itself.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Bin {
+    /// Lower end.
+    pub from: f64,
+    /// Upper end.
+    pub to: f64,
+    /// Samples.
+    pub count: usize,
+}
+
+/// Equal columns of a histogram.
+const BINS: usize = 24;
+
+/// The histogram of samples in rising order, the equal columns up to `p99`.
+fn histogram(sorted: &[f32], p99: f64) -> Vec<Bin> {
+    let (Some(&min), Some(&max)) = (sorted.first(), sorted.last()) else { return Vec::new() };
+    let (min, max) = (f64::from(min), f64::from(max));
+    let width = (p99 - min) / BINS as f64;
+    let edges = (1..BINS).map(|i| min + width * i as f64).filter(|_| width > 0.0).chain([p99, max]);
+    let (mut bins, mut from, mut done) = (Vec::new(), min, 0);
+    for to in edges {
+        let up_to = sorted.partition_point(|&x| f64::from(x) <= to);
+        if up_to > done || to < p99 {
+            bins.push(Bin { from, to, count: up_to - done });
+        }
+        (from, done) = (to, up_to);
+    }
+    bins
 }
 
 impl Quantiles {
@@ -71,7 +104,8 @@ impl Quantiles {
         let (Some(&min), Some(&max)) = (sorted.first(), sorted.last()) else { return Self::default() };
         let at = |q: f64| f64::from(sorted[((q * n as f64).ceil() as usize).clamp(1, n) - 1]);
         let mean = sorted.iter().map(|&x| f64::from(x)).sum::<f64>() / n as f64;
-        Self { min: f64::from(min), p50: at(0.5), p90: at(0.9), p99: at(0.99), max: f64::from(max), mean, n }
+        let histogram = histogram(&sorted, at(0.99));
+        Self { min: f64::from(min), p50: at(0.5), p90: at(0.9), p99: at(0.99), max: f64::from(max), mean, n, histogram }
     }
 }
 
@@ -180,6 +214,11 @@ mod tests {
         assert_eq!((q.min, q.p50, q.p90, q.p99, q.max, q.mean, q.n), (1.0, 50.0, 90.0, 99.0, 100.0, 50.5, 100));
         assert_eq!(Quantiles::of(&[]), Quantiles::default());
         assert_eq!(Quantiles::of(&[3.0]).p99, 3.0);
+        assert_eq!(Quantiles::of(&[3.0, 3.0]).histogram, [Bin { from: 3.0, to: 3.0, count: 2 }]);
+        assert_eq!(q.histogram.iter().map(|bin| bin.count).sum::<usize>(), q.n);
+        assert!(q.histogram.windows(2).all(|pair| pair[0].to == pair[1].from && pair[0].from < pair[0].to));
+        let last = q.histogram.last().unwrap();
+        assert_eq!((last.from, last.to, q.histogram.len()), (q.p99, q.max, BINS + 1));
     }
 
     #[test]

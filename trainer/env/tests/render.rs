@@ -45,6 +45,10 @@ fn every_environment_draws_its_state() {
         let colours: HashSet<[u8; 3]> = before.rgb.as_chunks().0.iter().copied().collect();
         let thing = [Paint::Body, Paint::Limb, Paint::Accent].into_iter().any(|p| colours.contains(&p.rgb()));
         assert!(thing, "{id}: nothing but ground is in the picture");
+        // For people: with this variable the drawings are left in its folder.
+        if let Some(dir) = std::env::var_os("GADM_PICTURES") {
+            std::fs::write(std::path::Path::new(&dir).join(format!("{id}.png")), last.to_png(320)).unwrap();
+        }
         let svg = first.to_svg(240);
         assert!(svg.starts_with("<svg ") && svg.ends_with("</svg>\n") && !svg.contains("NaN"), "{id}");
         assert_ne!(svg, last.to_svg(240), "{id}");
