@@ -5,6 +5,7 @@ mod doctor;
 mod env;
 mod eval;
 mod export;
+mod image;
 mod inspect;
 mod plot;
 mod report;
@@ -45,6 +46,8 @@ enum Command {
     Eval(eval::Args),
     /// Turn a run into a policy file for the device
     Export(export::Args),
+    /// Turn a policy file into a flash image, or read one back
+    Image(image::Args),
     /// Show what is in a policy file
     Inspect(inspect::Args),
     /// Draw learning curves
@@ -78,6 +81,7 @@ pub fn main() -> ExitCode {
         Command::Train(args) => train::main(args, cli.quiet),
         Command::Eval(args) => eval::main(&args),
         Command::Export(args) => export::main(&args),
+        Command::Image(args) => image::main(&args),
         Command::Inspect(args) => inspect::main(&args),
         Command::Plot(args) => plot::main(&args),
         Command::Report(args) => report::main(&args),
