@@ -9,8 +9,8 @@ use clap::ValueEnum;
 use gadm_sim::bus::Address;
 use gadm_sim::report::Recording;
 use gadm_sim::rung::{Place, Rung, run_on};
-use gadm_sim::target::qemu::{Board, Machine};
 use gadm_sim::scenario::Criteria;
+use gadm_sim::target::qemu::{Board, Machine};
 use gadm_sim::{BitRate, Profile, Progress, RunOptions};
 use indicatif::{ProgressBar, ProgressStyle};
 
