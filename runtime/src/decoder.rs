@@ -54,11 +54,13 @@ fn categorical(logits: &mut [u32], frac_bits: u32, snap: u8) -> f32 {
         SNAP_EDGES => {
             let is_one = |e: Option<&u32>| e.copied().unwrap_or(0) == ONE;
             let low = is_one(logits.first());
-            (low | is_one(logits.last()), select_unpredictable(low, 0, last))
+            let high = is_one(logits.last());
+            (low | high, select_unpredictable(low, 0, last))
         }
         _ => (false, 0),
     };
-    let snaps = found & (u64::from(ONE).wrapping_mul(10) >= sum.wrapping_mul(9));
+    let sure = u64::from(ONE).wrapping_mul(10) >= sum.wrapping_mul(9);
+    let snaps = found & sure;
     let (last, atom) = (u64::from(last), u64::from(atom));
     // sum_j e_j (2 j - last) / (last * sum_j e_j), and atom j at (2 j - last) / last, which is its e_j alone.
     let twice = select_unpredictable(snaps, atom, moment).wrapping_mul(2);

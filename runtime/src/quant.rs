@@ -50,13 +50,13 @@ pub fn quantise_input(x: f32, offset: f32, scale: f32, max: i16) -> (i16, bool) 
     let (low, high) = (-f32::from(max) - 1.0, f32::from(max));
     let value = (x - offset) * scale;
     // Without early ends, so that the time does not depend on the value.
-    let clipped = (value < low - 0.5) | (value > high + 0.5);
+    let (below, above) = (value < low - 0.5, value > high + 0.5);
     let value = if value < low { low } else { value };
     let value = if value > high { high } else { value };
     let inside = (value + MAGIC).to_bits().wrapping_sub(MAGIC.to_bits()).cast_signed();
     #[expect(clippy::cast_possible_truncation, reason = "clamped to the range of an i16 above")]
     let quantised = inside as i16;
-    (quantised, clipped)
+    (quantised, below | above)
 }
 
 #[cfg(test)]
