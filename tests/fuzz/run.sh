@@ -10,9 +10,9 @@ coverage="--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-l
 -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
 -Cllvm-args=-sanitizer-coverage-trace-compares -Ccodegen-units=1 -Clink-dead-code"
 # With --target the flags do not reach build scripts.
-RUSTFLAGS="$coverage" cargo build --quiet --release --target "$host" --target-dir "$target" --bin load --bin act --bin roundtrip
+RUSTFLAGS="$coverage" cargo build --quiet --release --target "$host" --target-dir "$target" --bin load --bin act --bin roundtrip --bin slcan --bin hub
 work="$target/fuzz"
-for name in load act roundtrip; do
+for name in load act roundtrip slcan hub; do
     mkdir -p "$work/$name"
     log="$work/$name.log"
     if "$target/$host/release/$name" -max_total_time="$seconds" -max_len=8192 -rss_limit_mb=2048 -timeout=10 \
