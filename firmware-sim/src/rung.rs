@@ -167,7 +167,8 @@ fn spawn(program: &Path, address: &Address, job: &Job<'_>, realtime: Option<f64>
     if let Some(factor) = realtime {
         command.args(["--realtime", &factor.to_string()]);
     }
-    command.stdin(Stdio::null()).stdout(Stdio::null());
+    // The node ends when this process does, however that ends: nobody else holds the other end of its input.
+    command.arg("--until-input-ends").stdin(Stdio::piped()).stdout(Stdio::null());
     command.spawn().map(NodeProcess).map_err(|e| SimError::Remote {
         bus: address.to_string(),
         what: format!("cannot start the node process {}: {e}", program.display()),

@@ -100,6 +100,26 @@ fn every_way_into_a_hub_and_every_next_run_give_the_same_trace() {
 }
 
 #[test]
+fn a_run_that_is_killed_takes_its_node_along() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    let policy = policy_file(dir, "moving", 3);
+    let here = traced(dir, "a.log", &["run", &policy, "--episodes", "2", "--seed", "1"]);
+    let (_hub, [unix, _, _]) = hub(dir, &[]);
+    let killed = dir.join("killed.log");
+    let endless =
+        start(&["run", &policy, "--episodes", "1000000", "--bus", &unix, "--trace", killed.to_str().unwrap()]);
+    // It runs once the buffer of its trace has been written.
+    while std::fs::metadata(&killed).map_or(0, |m| m.len()) == 0 {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    drop(endless);
+    // A second node with the same number would answer too.
+    let there = traced(dir, "b.log", &["run", &policy, "--episodes", "2", "--seed", "1", "--bus", &unix]);
+    assert!(here == there, "traces differ");
+}
+
+#[test]
 fn hostile_slow_and_vanishing_members_change_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();

@@ -65,7 +65,7 @@ pub(crate) struct Args {
     /// Print where the hub listens as JSON on standard output
     #[arg(long)]
     json: bool,
-    /// Do not tell who comes and goes
+    /// Do not tell where it listens and who comes and goes
     #[arg(long, short)]
     quiet: bool,
 }
@@ -123,7 +123,7 @@ pub(crate) fn main(args: &Args) -> anyhow::Result<ExitCode> {
         let mut out = std::io::stdout().lock();
         writeln!(out, "{}", json!({ "version": 1, "listens": ways }))?;
         out.flush()?;
-    } else {
+    } else if !args.quiet {
         for way in &ways {
             say(&format!("listening: {way}"));
         }

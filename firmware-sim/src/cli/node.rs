@@ -49,6 +49,9 @@ pub(crate) struct Args {
     /// Say nothing
     #[arg(long, short)]
     quiet: bool,
+    /// End when standard input does: for a program that starts this one
+    #[arg(long, hide = true)]
+    until_input_ends: bool,
 }
 
 /// Runs the command.
@@ -60,6 +63,13 @@ pub(crate) fn main(args: &Args) -> anyhow::Result<ExitCode> {
     let rate = BitRate { nominal: args.bitrate, data: args.data_bitrate };
     let mut joined = bus::open(&args.connect, rate)
         .map_err(|e| SimError::Remote { bus: args.connect.to_string(), what: format!("cannot join the bus: {e}") })?;
+    if args.until_input_ends {
+        std::thread::spawn(|| {
+            // Whatever comes, and also an error, is the end.
+            let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
+            std::process::exit(0);
+        });
+    }
     let tell = |text: &str| {
         if !args.quiet {
             say(text);

@@ -70,7 +70,7 @@ impl<L: Link> Remote<L> {
         // Another number for each run, so that an answer to an earlier run's START is not taken for one to this.
         let tag = std::process::id() as u16;
         let mut remote = Self { link, local, bus, expected, tag, sent: 0, pace, booted: false };
-        let reply = remote.power_cycle(tag)?;
+        let reply = remote.start_afresh(tag)?;
         let wanted = lockstep::mode(remote.expected.profile, remote.pace.is_some());
         if reply.op == OP_REFUSED {
             return Err(remote.failed("the node knows no lockstep (a board?); use --realtime".to_owned()));
@@ -118,7 +118,7 @@ impl<L: Link> Remote<L> {
         }
     }
 
-    fn power_cycle(&mut self, tag: u16) -> Result<Reply, SimError> {
+    fn start_afresh(&mut self, tag: u16) -> Result<Reply, SimError> {
         let request = lockstep::request(self.expected.node, lockstep::OP_START, tag);
         let end = deadline(self.expected.patience);
         let mut frame = Frame::empty();
@@ -132,7 +132,8 @@ impl<L: Link> Remote<L> {
                 self.io(waited)?;
                 while self.hear(&mut frame)? {
                     let reply = lockstep::parse_reply(&frame, self.expected.node);
-                    if let Some(reply) = reply.filter(|r| r.tag == tag && lockstep::is_lockstep(&frame)) {
+                    let ours = |r: &Reply| r.tag == tag && (r.op == lockstep::OP_START || r.op == OP_REFUSED);
+                    if let Some(reply) = reply.filter(ours) {
                         return Ok(reply);
                     }
                 }
