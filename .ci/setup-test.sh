@@ -16,12 +16,16 @@ prepare() {
     cp "$here/setup.sh" "$scratch/a project/.ci/"
     cp "$here/../rust-toolchain.toml" "$scratch/a project/"
     stub "$scratch/a project/.ci/mujoco.sh" 'exit 0'
-    for tool in sh cat cut dirname grep head mktemp printf rm sed sort tail; do
+    stub "$scratch/a project/.ci/guest.py" 'exit 0'
+    for tool in sh cat cut dirname grep head mktemp printf rm sed sort tail uname; do
         ln -s "$(command -v "$tool")" "$bin/$tool"
     done
     stub "$bin/cc" 'exit 0'
     stub "$bin/qemu-system-arm" 'exit 0'
     stub "$bin/arm-none-eabi-gcc" 'exit 0'
+    stub "$bin/qemu-system-x86_64" 'exit 0'
+    stub "$bin/candump" 'exit 0'
+    stub "$bin/busybox" 'exit 0'
     stub "$bin/id" 'echo 0'
     stub "$bin/apt-get" 'echo "$@" >>"'"$scratch"'/apt"'
     stub "$bin/cargo" 'exit 0'

@@ -1,7 +1,7 @@
 #!/bin/sh
 # Brings or checks everything that `make demo` and `make test` need. A missing prerequisite gives one line with the fix
-# and exit 4; without the emulator and the C compiler of the Cortex-M tests everything else works, so they give one line
-# and no failure. Safe to run again: with everything in place it only looks, and needs no network.
+# and exit 4; without the emulators, the kernel and the C compiler of the Cortex-M and SocketCAN tests everything else
+# works, so they give one line and no failure. Safe to run again: with everything in place it only looks, and needs no network.
 set -eu
 
 TARGETS="thumbv7em-none-eabihf thumbv7m-none-eabi thumbv8m.main-none-eabihf riscv32imac-unknown-none-elf"
@@ -60,13 +60,19 @@ else
         fail "rustc $found is older than $pinned; install Rust from https://rustup.rs and run \`make setup\` again"
 fi
 
-# The Cortex-M tests run in an emulator, and one of them compiles C. `make test` names them as not run without these.
+# The Cortex-M tests run in an emulator, and one of them compiles C; the SocketCAN tests boot Debian's kernel in another
+# where this machine's has no CAN. `make test` names them as not run without these.
 packages=
 command -v qemu-system-arm >/dev/null 2>&1 || packages="qemu-system-arm"
 command -v arm-none-eabi-gcc >/dev/null 2>&1 ||
     packages="${packages:+$packages }gcc-arm-none-eabi libnewlib-arm-none-eabi"
+if [ "$(uname -m)" = x86_64 ]; then
+    command -v qemu-system-x86_64 >/dev/null 2>&1 || packages="${packages:+$packages }qemu-system-x86"
+    command -v candump >/dev/null 2>&1 || packages="${packages:+$packages }can-utils"
+    command -v busybox >/dev/null 2>&1 || packages="${packages:+$packages }busybox-static"
+fi
 if [ -n "$packages" ]; then
-    without="the Cortex-M tests that need it will not run"
+    without="the Cortex-M or SocketCAN tests that need it will not run"
     if ! command -v apt-get >/dev/null 2>&1; then
         echo "setup: not installed: $packages (no apt-get here); $without" >&2
     elif [ "$(id -u)" != 0 ]; then
@@ -83,3 +89,6 @@ if [ -n "$packages" ]; then
         rm -f "$log"
     fi
 fi
+
+# The kernel that the SocketCAN tests boot, once; the script says in one line where it cannot be had.
+.ci/guest.py --fetch >&2 || :

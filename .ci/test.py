@@ -23,6 +23,7 @@ FUZZ_SECONDS = "30"
 
 CARGO_RESULT = re.compile(r"^test result: \w+\. (\d+) passed; (\d+) failed; (\d+) ignored;")
 SCRIPT_RESULT = re.compile(r"^(ok|FAILED): ")
+NOT_RUN = 4  # exit status of a script that says in a line `not run: …` what is lacking
 
 
 def cargo(*words):
@@ -44,7 +45,7 @@ class Stage:
         self.limit_s, self.env = limit_s, env or {}
         self.needs = needs  # (programs, what to do without it, whether the stage may then be left out)
         self.passed = self.failed = self.ignored = 0
-        self.state, self.wall_s, self.note = "", 0.0, ""
+        self.state, self.wall_s, self.note, self.lacking = "", 0.0, "", ""
 
 
 def stages():
@@ -128,6 +129,12 @@ def stages():
             limit_s=1500,
         ),
         Stage(
+            "socketcan",
+            "node and plant on SocketCAN: vcan of this kernel, or of Debian's in QEMU",
+            [[".ci/guest.py"]],
+            limit_s=900,
+        ),
+        Stage(
             "fuzz",
             f"fuzz targets, {FUZZ_SECONDS} s each",
             [["tests/fuzz/run.sh", FUZZ_SECONDS]],
@@ -174,6 +181,8 @@ def run_command(stage, command, deadline):
             elif found := SCRIPT_RESULT.match(line):
                 stage.passed += found[1] == "ok"
                 stage.failed += found[1] == "FAILED"
+            elif line.startswith("not run: "):
+                stage.lacking = line.strip()
         return process.wait()
     except BaseException:
         stop()
@@ -198,6 +207,9 @@ def run_stage(stage):
             stage.note = stage.note or f"exit {code}: {' '.join(command)}"
             break
     stage.wall_s = time.monotonic() - start
+    if code == NOT_RUN and stage.lacking:
+        stage.state, stage.note = "not run", stage.lacking
+        return
     stage.state = "ok" if code == 0 else "FAILED"
     if code != 0 and stage.failed == 0:
         stage.failed = 1
