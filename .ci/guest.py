@@ -159,7 +159,7 @@ INIT = f"""#!/bin/sh
 mount -t proc proc /proc; mount -t sysfs sysfs /sys; mount -t devtmpfs devtmpfs /dev; mount -t tmpfs tmpfs /tmp
 for module in {' '.join(MODULES)}; do insmod /modules/$module.ko || echo "FAILED: insmod $module"; done
 ip link set up lo
-if /tests/run.sh /tmp/out; then
+if /tests/run.sh /out; then
     byte='\\020'
     echo '{CLOSING}'
 else
@@ -167,7 +167,7 @@ else
 fi
 # What the tests left goes to the host over the second serial line.
 stty -F /dev/ttyS1 raw
-(cd /tmp/out && tar cf - .) >/dev/ttyS1
+(cd /out && tar cf - .) >/dev/ttyS1
 sleep 1
 printf "$byte" | dd of=/dev/port bs=1 seek=244 count=1 2>/dev/null
 sleep 60

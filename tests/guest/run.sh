@@ -6,7 +6,7 @@
 set -u
 out=$1
 models=${MODELS:-/models}
-work=$(mktemp -d 2>/dev/null || echo /tmp/work)
+work=$(mktemp -d)
 mkdir -p "$out" "$work"
 failures=0
 can=vcan0

@@ -21,7 +21,7 @@ use super::say;
 
 const EXAMPLES: &str = "\
 Examples:
-  gadm-sim bus hub --unix /tmp/can.sock --trace bus.log
+  gadm-sim bus hub --unix can.sock --trace bus.log
   gadm-sim bus hub --tcp 127.0.0.1:29536 --pty --socketcan vcan0
 
 All members speak SLCAN, the lines of serial CAN adapters. python-can joins

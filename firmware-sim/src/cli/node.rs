@@ -15,7 +15,7 @@ use super::say;
 
 const EXAMPLES: &str = "\
 Examples:
-  gadm-sim node policy.bin --connect unix:/tmp/can.sock
+  gadm-sim node policy.bin --connect unix:can.sock
   gadm-sim node policy.bin --connect socketcan:vcan0 --realtime
 
 In lockstep, the default, the node has the plant's time and waits for
