@@ -309,8 +309,8 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
         self.plant.reset(seed);
         self.bus.set_time(self.plant.now_us());
         self.injector.begin_episode();
-        self.watch.begin_episode();
         self.recover()?;
+        self.watch.begin_episode(self.node_counted());
         for _ in 0..RUN_REQUESTS {
             self.sent("host", |s| s.host.run())?;
             self.settle()?;

@@ -130,7 +130,7 @@ impl Soak {
 fn faults() -> Vec<Fault> {
     [
         "layer='frame'; kind='drop'; p=0.002",
-        "layer='frame'; kind='burst'; enter=0.0002; exit=0.3; name='bursts to the plant'; target='plant'",
+        "layer='frame'; kind='burst'; enter=0.001; exit=0.3; name='bursts to the plant'; target='plant'",
         "layer='frame'; kind='delay'; ticks=1; p=0.001",
         "layer='frame'; kind='duplicate'; p=0.002",
         "layer='frame'; kind='reorder'; p=0.001; within=3",

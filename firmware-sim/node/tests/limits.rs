@@ -22,6 +22,19 @@ fn ticks_that_stretch_the_time_do_not_stretch_how_long_an_action_is_held() {
 }
 
 #[test]
+fn a_start_between_two_ticks_is_no_jitter() {
+    let mut rig = Rig::local().ready();
+    rig.steps(3);
+    // RUN comes in the middle of a period; the next tick is in time all the same.
+    rig.now += T / 2;
+    rig.mode(gadm_node::service::ModeCommand::Run);
+    rig.now -= T / 2;
+    rig.steps(3);
+    assert_eq!((rig.status.state, rig.status.fault), (State::Run, Fault::None));
+    assert!(rig.acts.iter().all(|a| !a.has(gadm_node::Flags::LATE)), "{:?}", rig.acts);
+}
+
+#[test]
 fn a_power_cycle_forgets_everything_but_policy_and_bus() {
     let mut rig = Rig::local().running();
     rig.step(Some(&GOOD));

@@ -102,16 +102,13 @@ impl<L: Link> FaultyLink<L> {
         }
     }
 
-    /// What waited and may go on now.
+    /// What waited for the bus or for a slow node and may go on now.
     fn wake(&mut self) {
         let mut shared = self.shared.borrow_mut();
         let now = shared.now;
         for lane in [&mut self.incoming, &mut self.outgoing] {
             while lane.starved.front().is_some_and(|f| shared.wire_is_free(f)) {
                 lane.ready.extend(lane.starved.pop_front());
-            }
-            for step in &mut lane.steps {
-                step.state.due(now, &mut lane.ready);
             }
             while lane.slow.front().is_some_and(|(at, _)| *at <= now) {
                 lane.ready.extend(lane.slow.pop_front().map(|(_, f)| f));
@@ -242,6 +239,14 @@ impl<L: Link> Link for FaultyLink<L> {
         }
         self.flush()?;
         self.take()?;
+        // A delayed frame comes as late in its tick as it was sent: after the TICK.
+        let now = self.shared.borrow().now;
+        for lane in [&mut self.incoming, &mut self.outgoing] {
+            for step in &mut lane.steps {
+                step.state.due(now, &mut lane.ready);
+            }
+        }
+        self.flush()?;
         let next = self.incoming.ready.pop_front();
         if let Some(next) = next {
             *frame = next;

@@ -55,10 +55,10 @@ impl<'p> Watch<'p> {
         }
     }
 
-    /// Forgets the last episode.
-    pub fn begin_episode(&mut self) {
+    /// Forgets the last episode; `counted` is what the node has counted until now.
+    pub fn begin_episode(&mut self, counted: Option<NodeSummary>) {
         self.found = NOTHING;
-        self.before = None;
+        self.before = counted;
     }
 
     /// Takes the true observation of a period.

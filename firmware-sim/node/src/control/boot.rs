@@ -156,7 +156,7 @@ impl<'p, L: Link, S: Store<'p>> ControlNode<'p, L, S> {
         self.last_fresh = self.tick;
         self.last_good = self.tick;
         self.good_at_us = self.now_us;
-        self.tick_at_us = self.now_us;
+        self.quiet_from_us = self.now_us;
         self.answered = true; // control begins with the next tick
         self.invalid_row = 0;
         self.stale_ticks = 0;

@@ -81,6 +81,7 @@ impl<'p, L: Link, S: Store<'p>> ControlNode<'p, L, S> {
         if self.tick.is_some() {
             self.monitor.observe(elapsed, ahead);
         }
+        let quiet = self.now_us.saturating_sub(self.quiet_from_us);
         let first = self.tick.is_none();
         let unanswered = self.tick.filter(|_| !self.answered);
         if !self.judged {
@@ -88,7 +89,7 @@ impl<'p, L: Link, S: Store<'p>> ControlNode<'p, L, S> {
         }
         self.stale_ticks = 0;
         self.tick_time_us = t.time_us;
-        self.tick_at_us = self.now_us;
+        (self.tick_at_us, self.quiet_from_us) = (self.now_us, self.now_us);
         self.tick = Some(t.tick);
         self.judged_before = self.judged && ahead == 1;
         (self.judged, self.answered) = (false, false);
@@ -101,7 +102,7 @@ impl<'p, L: Link, S: Store<'p>> ControlNode<'p, L, S> {
                     (Some(self.last_fresh.unwrap_or(start)), Some(self.last_good.unwrap_or(start)));
                 let lost = if unanswered.is_some() { ahead } else { ahead - 1 };
                 self.counters.missed = self.counters.missed.saturating_add(lost);
-                if !first && elapsed > self.silence_us() {
+                if !first && quiet > self.silence_us() {
                     self.make_safe(Event::TickLost, Fault::TickLost);
                 } else if fresh >= STALE_LIMIT || good > HOLD_LIMIT {
                     self.make_safe(Event::ObservationLost, Fault::ObservationLost);

@@ -153,6 +153,8 @@ pub struct ControlNode<'p, L: Link, S: Store<'p> = Fixed<'p>> {
     tick: Option<u32>,
     tick_time_us: u32,
     tick_at_us: u64,
+    /// When silence began to count: the last tick, or the start of RUN.
+    quiet_from_us: u64,
     /// The set of the current (previous) tick was complete and was looked at.
     judged: bool,
     judged_before: bool,
@@ -232,6 +234,7 @@ impl<'p, L: Link, S: Store<'p>> ControlNode<'p, L, S> {
             tick: None,
             tick_time_us: 0,
             tick_at_us: 0,
+            quiet_from_us: 0,
             judged: false,
             judged_before: false,
             answered: false,

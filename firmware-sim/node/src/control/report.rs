@@ -19,7 +19,7 @@ impl<'p, L: Link, S: Store<'p>> ControlNode<'p, L, S> {
         let (now, period) = (self.now_us, u64::from(self.period_us()));
         let local = self.config.time == TimeSource::Local;
         if self.state == State::Run {
-            let since_tick = now.saturating_sub(self.tick_at_us);
+            let since_tick = now.saturating_sub(self.quiet_from_us);
             if self.host_at_us.is_some_and(|at| now.saturating_sub(at) > self.silence_us()) {
                 self.make_safe(Event::HostLost, Fault::HostLost);
             } else if self.crc.too_many() {
