@@ -135,6 +135,16 @@ def stages():
             limit_s=900,
         ),
         Stage(
+            "peers",
+            "cantools, python-can and a Gymnasium plant against gadm-sim",
+            [
+                [".ci/python.sh"],
+                cargo("build", "--quiet", "-p", "gadm-sim"),
+                ["target/python/bin/python", "tests/python/run.py"],
+            ],
+            needs=("python3", "not run: no python3 (Debian: apt-get install python3 python3-pip)", True),
+        ),
+        Stage(
             "fuzz",
             f"fuzz targets, {FUZZ_SECONDS} s each",
             [["tests/fuzz/run.sh", FUZZ_SECONDS]],

@@ -1,8 +1,11 @@
 //! Frames of a trace as named signals.
 
 use gadm_node::codec::{FrameError, Layout, Profile};
+use gadm_node::frame::Kind;
 use gadm_node::protocol::{Function, NO_LATENT, NodeId, address};
+use gadm_node::reason::Reason;
 use gadm_node::service::{Estop, Heartbeat, HostHeartbeat, Mode, Page, Reply, Request, Tick, TransferData};
+use gadm_node::slots::SlotState;
 use gadm_node::{Fault, Flags, Frame, State};
 use gadm_runtime::Policy;
 use serde::Serialize;
@@ -21,6 +24,8 @@ pub struct Decoded {
     pub node: Option<u8>,
     /// Signals by name.
     pub signals: Map<String, Value>,
+    /// What the codec checks and nobody needs to see: part number and flags of an FD observation, CRC.
+    pub framing: Map<String, Value>,
     /// Why the signals could not be read.
     pub error: Option<String>,
 }
@@ -41,9 +46,7 @@ impl Decoder {
     pub fn new(policy: &Policy, profile: Profile) -> Result<Self, SimError> {
         let make = |node: u8| {
             let node = NodeId::new(node).unwrap_or(NodeId::DEFAULT);
-            let ranges = policy.observation_signals().map(|s| (s.lo, s.hi));
-            let heads = policy.action_signals().map(|s| s.head);
-            Layout::new(profile, node, policy.interface_hash(), ranges, heads)
+            Layout::of_policy(policy, profile, node)
                 .map_err(|source| SimError::Layout { profile: profile.name(), source })
         };
         Ok(Self {
@@ -56,7 +59,14 @@ impl Decoder {
     /// Reads one frame.
     #[must_use]
     pub fn decode(&self, frame: &Frame) -> Decoded {
-        let mut decoded = Decoded { name: "UNKNOWN", id: frame.raw_id(), node: None, signals: Map::new(), error: None };
+        let mut decoded = Decoded {
+            name: "UNKNOWN",
+            id: frame.raw_id(),
+            node: None,
+            signals: Map::new(),
+            framing: Map::new(),
+            error: None,
+        };
         let Some(to) = frame.standard_id().and_then(address) else { return decoded };
         decoded.name = to.message.name;
         let has_node = !matches!(
@@ -65,7 +75,10 @@ impl Decoder {
         );
         decoded.node = has_node.then_some(to.node);
         match self.signals(frame, to.message.function, to.node) {
-            Ok(Value::Object(signals)) => decoded.signals = signals,
+            Ok(Value::Object(signals)) => {
+                decoded.signals = signals;
+                decoded.framing = framing(frame, to.message.function);
+            }
             Ok(_) => {}
             Err(error) => decoded.error = Some(error),
         }
@@ -91,7 +104,11 @@ impl Decoder {
                 let page = Page::from_code(h.page).map_or_else(|| h.page.to_string(), |p| p.name().to_owned());
                 let state = State::from_code(h.state).map_or_else(|| h.state.to_string(), |s| s.name().to_owned());
                 let fault = Fault::from_code(h.fault).map_or_else(|| h.fault.to_string(), |f| f.name().to_owned());
-                json!({ "state": state, "fault": fault, "seq": h.seq, "page": page, "value": h.value })
+                let mut value = json!({ "state": state, "fault": fault, "seq": h.seq, "page": page, "value": h.value });
+                for (name, part) in page_parts(&h) {
+                    value[name] = part;
+                }
+                value
             }
             Function::HostHeartbeat => json!({ "seq": HostHeartbeat::parse(frame).ok_or_else(short)?.seq }),
             Function::Request => {
@@ -114,18 +131,67 @@ impl Decoder {
                 let (header, part) = layout.action_part(frame).map_err(said)?;
                 let mut value = values(part.seq, part.first, &part.values, &self.actions);
                 if layout.profile() == Profile::FdF32 {
-                    value["latent"] = latent(header.latent);
-                    value["flags"] = flags(header.flags);
+                    value["latent"] = json!(latent_value(header.latent));
+                    value["flags"] = json!(flag_names(header.flags));
                 }
                 value
             }
             Function::Decision => {
                 let d = layout.decision(frame).map_err(said)?;
-                json!({ "seq": d.header.seq, "latent": latent(d.header.latent), "flags": flags(d.header.flags),
+                json!({ "seq": d.header.seq, "latent": latent_value(d.header.latent), "flags": flag_names(d.header.flags),
                         "inference_us": d.inference_us, "allowed": d.allowed })
             }
         })
     }
+}
+
+/// What the four bytes of a heartbeat are made of, for the pages that hold more than one number.
+fn page_parts(heartbeat: &Heartbeat) -> Vec<(&'static str, Value)> {
+    let [b0, b1, b2, b3] = heartbeat.value.to_le_bytes();
+    let slot = |code: u8| SlotState::from_code(code).map_or_else(|| json!(code), |s| json!(s.name()));
+    match Page::from_code(heartbeat.page) {
+        Some(Page::Jitter) => vec![
+            ("jitter_permille", u16::from_le_bytes([b0, b1]).into()),
+            ("bias_permille", i16::from_le_bytes([b2, b3]).into()),
+        ],
+        Some(Page::PolicyError) => {
+            let reason = Reason::from_code(b0).map_or_else(|| json!(b0), |r| json!(r.name()));
+            vec![("reason", reason), ("reason_slot", b1.into())]
+        }
+        Some(Page::Slots) => vec![
+            ("slot0_state", slot(b0)),
+            ("slot1_state", slot(b1)),
+            ("running_slot", b2.into()),
+            ("on_trial", b3.into()),
+        ],
+        _ => Vec::new(),
+    }
+}
+
+/// The bytes of a good frame that are no signals for people: those of a set that are not values, and of a transfer.
+fn framing(frame: &Frame, function: Function) -> Map<String, Value> {
+    let payload = frame.payload();
+    let mut map = Map::new();
+    if function == Function::Transfer {
+        map.extend(payload.iter().skip(1).enumerate().map(|(i, &byte)| (format!("data_{i}"), byte.into())));
+    }
+    if !matches!(function, Function::Observation | Function::Action | Function::Decision) {
+        return map;
+    }
+    if matches!(frame.kind(), Kind::Fd { .. }) {
+        if let (Function::Observation, Some(&[part, flags])) =
+            (function, payload.get(2..).and_then(|p| p.first_chunk()))
+        {
+            map.insert("part".into(), part.into());
+            for (bit, name) in ["first", "last", "invalid"].into_iter().enumerate() {
+                map.insert(name.into(), (flags >> bit & 1).into());
+            }
+        }
+        map.extend(payload.last_chunk().map(|crc| ("crc".to_owned(), u32::from_le_bytes(*crc).into())));
+    } else {
+        map.extend(payload.last().map(|&crc| ("crc".to_owned(), crc.into())));
+    }
+    map
 }
 
 /// The profile that the set frames of a trace are in: FD frames mean `fd-f32`. `None` where there are none.
@@ -133,27 +199,32 @@ pub fn profile_of<'a>(frames: impl Iterator<Item = &'a Frame>) -> Option<Profile
     frames
         .filter(|f| f.standard_id().and_then(address).is_some_and(|a| a.message.function == Function::Observation))
         .map(|f| match f.kind() {
-            gadm_node::frame::Kind::Fd { .. } => Profile::FdF32,
+            Kind::Fd { .. } => Profile::FdF32,
             _ => Profile::ClassicI16,
         })
         .next()
 }
 
-fn latent(latent: u16) -> Value {
-    if latent == NO_LATENT { Value::Null } else { latent.into() }
+/// A latent number; `None` where no latent was chosen.
+pub(crate) fn latent_value(latent: u16) -> Option<u16> {
+    (latent != NO_LATENT).then_some(latent)
 }
 
-fn flags(flags: Flags) -> Value {
+/// The flags that are set, from bit 0.
+pub(crate) fn flag_names(flags: Flags) -> Vec<&'static str> {
     Flags::NAMES.iter().enumerate().filter(|(i, _)| flags.bits() >> i & 1 == 1).map(|(_, n)| *n).collect()
 }
 
-/// An invalid value is `null`. An f32 is printed as the shortest decimal that reads back to the same f32.
+/// The shortest decimal that reads back to the same f32; `null` where it is not a number.
+pub(crate) fn number(value: f32) -> Value {
+    serde_json::from_str(&value.to_string()).unwrap_or(Value::Null)
+}
+
 fn values(seq: u16, first: usize, values: &[f32], names: &[String]) -> Value {
     let mut map = Map::new();
     map.insert("seq".into(), seq.into());
     for (name, &value) in names.iter().skip(first).zip(values) {
-        let number = serde_json::from_str(&value.to_string()).unwrap_or(Value::Null);
-        map.insert(name.clone(), number);
+        map.insert(name.clone(), number(value));
     }
     Value::Object(map)
 }

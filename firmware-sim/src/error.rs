@@ -70,6 +70,27 @@ pub enum SimError {
         /// Why.
         source: LayoutError,
     },
+    /// A trace that cannot be replayed.
+    #[error("there is nothing to replay in the trace: {reason}")]
+    Replay {
+        /// Why.
+        reason: String,
+    },
+    /// The policy needs more of the bus than it may have.
+    #[error(
+        "profile {profile} at {rate} kbit/s does not fit: {reason}; {advice} \
+         (`gadm-sim bus load` shows all, --allow-overload runs it all the same)"
+    )]
+    Overload {
+        /// Name of the profile.
+        profile: &'static str,
+        /// Bit rates, kbit/s.
+        rate: String,
+        /// Which limit, with numbers.
+        reason: String,
+        /// What fits.
+        advice: String,
+    },
     /// The node did not become ready, or did not start to control.
     #[error("the node is in state {state} with fault {fault} ({meaning}), expected {expected}; {next}")]
     Node {
@@ -154,11 +175,13 @@ pub enum SimError {
 }
 
 impl SimError {
-    /// Exit code of a program that ends with this error: 4 where this machine or build lacks something, else 1.
+    /// Exit code of a program that ends with this error: 4 where this machine or build lacks something, 3 where the
+    /// policy does not fit the bus, else 1.
     #[must_use]
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Plant(EnvError::Feature { .. } | EnvError::Model { .. }) | Self::Lacking { .. } => 4,
+            Self::Overload { .. } => 3,
             _ => 1,
         }
     }

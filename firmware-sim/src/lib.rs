@@ -22,7 +22,10 @@
 //! | [`bus`] | loopback, candump traces, load |
 //! | [`fault`], [`scenario`], [`campaign`] | what goes wrong, what to run and what must hold; many of them |
 //! | [`soak`] | a long run |
+//! | [`dbc`] | the messages of a policy as a CAN database |
 //! | [`decode`] | frames as named signals |
+//! | `mcap` | a trace for Foxglove (feature `mcap`) |
+//! | [`replay`] | a trace through the policy again |
 //! | [`result`] | what a run found out |
 //! | [`report`] | pages that show it |
 //! | [`monitor`] | a bus as a person watches it |
@@ -31,13 +34,17 @@
 
 pub mod bus;
 pub mod campaign;
+pub mod dbc;
 pub mod decode;
 mod error;
 pub mod fault;
 pub mod host;
 pub mod interface;
+#[cfg(feature = "mcap")]
+pub mod mcap;
 pub mod monitor;
 pub mod plant_node;
+pub mod replay;
 pub mod report;
 pub mod result;
 pub mod rung;

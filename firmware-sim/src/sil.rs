@@ -13,19 +13,16 @@ use gadm_node::{Flags, Frame, Link, LinkError, NodeConfig, NodeId, State, TimeSo
 use gadm_runtime::Policy;
 use gadm_runtime::encode::AlignedImage;
 
-use crate::bus::load::{BitRate, load};
+use crate::bus::load::{self, BitRate};
 use crate::bus::loopback::{Loopback, Port, Tap};
 use crate::bus::trace::TraceWriter;
-use crate::host::Host;
 use crate::fault::{Fault, FaultyLink, Injector, Signs, Watch};
+use crate::host::Host;
 use crate::plant_node::PlantNode;
 use crate::report::Recording;
 use crate::result::{BusSummary, EpisodeResult, NodeSummary, PolicySummary, RESULT_VERSION, ReturnSummary, RunResult};
 use crate::target::{InProcess, Target};
 use crate::{SimError, episode_seed, interface};
-
-/// Bus load above which a run warns, per cent.
-const LOAD_WARNING: f64 = 70.0;
 
 /// How often the host asks a node that is READY to run; more than once only where the bus loses frames.
 const RUN_REQUESTS: u32 = 10;
@@ -45,6 +42,8 @@ pub struct RunOptions {
     pub profile: Profile,
     /// Bit rates, for the load and the time stamps.
     pub bit_rate: BitRate,
+    /// Run although the policy does not fit the bus: this bus has no bit time and loses nothing, a real one would.
+    pub allow_overload: bool,
     /// Where to write the trace.
     pub trace: Option<PathBuf>,
     /// What goes wrong.
@@ -63,6 +62,7 @@ impl RunOptions {
             seed: 0,
             profile: Profile::FdF32,
             bit_rate: BitRate::default(),
+            allow_overload: false,
             trace: None,
             faults: Vec::new(),
             record: None,
@@ -207,6 +207,9 @@ pub fn simulate_on<T: Target>(
 ) -> Result<RunResult, SimError> {
     let policy = Policy::load(image).map_err(SimError::Policy)?;
     interface::check(&policy, env.spec())?;
+    if !options.allow_overload {
+        load::check(&policy, options.profile, options.bit_rate)?;
+    }
     let bus = Loopback::new(options.bit_rate, tap);
     let layout = policy_layout(&policy, options.profile)?;
     let injector = Injector::new(options, env.spec(), &layout, &bus)?;
@@ -431,14 +434,11 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
     fn result(self, episodes: Vec<EpisodeResult>) -> RunResult {
         let (frames, busy_s) = self.bus.traffic();
         let virtual_s = self.plant.now_us() as f64 / 1e6;
-        let load = load(&self.layout, self.period_us, self.options.bit_rate);
+        let load = load::load(&self.layout, self.period_us, self.options.bit_rate);
         let provenance = self.policy.provenance();
         let mut warnings = Vec::new();
-        if load.total_percent > LOAD_WARNING {
-            warnings.push(format!(
-                "bus load {:.0} % is above {LOAD_WARNING:.0} %: use another profile or a higher bit rate on a real bus",
-                load.total_percent
-            ));
+        if let Some(excess) = load.excess() {
+            warnings.push(format!("does not fit a real bus: {excess}; `gadm-sim bus load` says what does"));
         }
         if !provenance.environment.is_empty() && !provenance.environment.eq_ignore_ascii_case(&self.plant_id) {
             warnings.push(format!("trained for `{}`, run on `{}`", provenance.environment, self.plant_id));
@@ -484,9 +484,7 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
 /// # Errors
 /// [`SimError::Layout`] where the profile cannot carry it.
 pub fn policy_layout(policy: &Policy, profile: Profile) -> Result<Layout, SimError> {
-    let ranges = policy.observation_signals().map(|s| (s.lo, s.hi));
-    let heads = policy.action_signals().map(|s| s.head);
-    Layout::new(profile, NodeId::DEFAULT, policy.interface_hash(), ranges, heads)
+    Layout::of_policy(policy, profile, NodeId::DEFAULT)
         .map_err(|source| SimError::Layout { profile: profile.name(), source })
 }
 

@@ -108,10 +108,8 @@ impl Soak {
     pub fn troubles(&self) -> Vec<String> {
         let mut troubles = Vec::new();
         if !self.whole() {
-            troubles.push(format!(
-                "frames differ between the run, {:?}, and the listener, {:?}",
-                self.wire, self.heard
-            ));
+            troubles
+                .push(format!("frames differ between the run, {:?}, and the listener, {:?}", self.wire, self.heard));
         }
         if self.growth > GROWTH_LIMIT {
             troubles.push(format!("memory grew by {} KiB, allowed are {}", self.growth >> 10, GROWTH_LIMIT >> 10));
@@ -169,7 +167,8 @@ pub fn soak(options: &Options, progress: &mut dyn FnMut(u64)) -> Result<Soak, Si
     let env = Endless { inner: env, left: options.steps, episodes: Arc::clone(&episodes), seed: options.seed };
 
     let path = std::env::temp_dir().join(format!("gadm-soak-{}.sock", std::process::id()));
-    let failed = |e: &dyn std::fmt::Display| SimError::Remote { bus: format!("unix:{}", path.display()), what: e.to_string() };
+    let failed =
+        |e: &dyn std::fmt::Display| SimError::Remote { bus: format!("unix:{}", path.display()), what: e.to_string() };
     // Nobody may be faster than the slowest: then a frame that is missing was lost.
     let hub_options = HubOptions { slow: Slow::Wait(Duration::from_secs(60)), ..HubOptions::default() };
     let mut hub = Hub::new(hub_options, None, |_| {});

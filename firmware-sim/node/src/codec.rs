@@ -13,6 +13,7 @@
 //! AUTOSAR's end-to-end protection).
 
 use crc::{CRC_8_AUTOSAR, CRC_32_ISO_HDLC, Crc};
+use gadm_runtime::Policy;
 use gadm_runtime::space::ActionHead;
 use heapless::Vec;
 
@@ -363,6 +364,16 @@ impl Layout {
             return Err(LayoutError::Actions { found, limit: MAX_ACTIONS });
         }
         Ok(layout)
+    }
+
+    /// The layout of a policy.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn of_policy(policy: &Policy, profile: Profile, node: NodeId) -> Result<Self, LayoutError> {
+        let ranges = policy.observation_signals().map(|s| (s.lo, s.hi));
+        let heads = policy.action_signals().map(|s| s.head);
+        Self::new(profile, node, policy.interface_hash(), ranges, heads)
     }
 
     /// The profile.

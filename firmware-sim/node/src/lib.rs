@@ -11,6 +11,7 @@
 //! | [`protocol`] | **the** table of messages: identifiers, directions, periods, payload layouts |
 //! | [`codec`], [`service`], [`assemble`] | frames to numbers and back, both profiles; parts to complete sets |
 //! | [`safety`] | **the** table of states and transitions, and the fault codes |
+//! | [`load`] | worst-case time on the wire, and whether a policy fits a bus |
 //! | [`timing`] | period jitter and bias |
 //! | [`control`] | the node itself |
 //! | [`store`], [`slots`], [`transfer`] | where policies lie: one image, or two slots in flash that the bus can fill |
@@ -62,6 +63,7 @@ pub mod codec;
 pub mod control;
 pub mod frame;
 pub mod link;
+pub mod load;
 pub mod protocol;
 pub mod reason;
 pub mod safety;

@@ -237,8 +237,8 @@ fn check(profile: Profile, time: TimeSource, ops: &[Op]) -> Result<(), TestCaseE
             prop_assert!(silent <= 3 * T + T / 5, "in control {silent} us after the last decision");
         }
         // Safe within three periods of any loss: a TICK that the node takes, without a decision, is a period lost.
-        let ticked =
-            matches!(op, Op::Period | Op::Silent | Op::Invalid | Op::Early | Op::Torn | Op::Damaged) && c.sequence == b.sequence;
+        let ticked = matches!(op, Op::Period | Op::Silent | Op::Invalid | Op::Early | Op::Torn | Op::Damaged)
+            && c.sequence == b.sequence;
         if now.state != State::Run || before.state != State::Run || c.acted > b.acted {
             since_good = 0;
         } else if ticked && !rig.wire.borrow().off {

@@ -46,6 +46,10 @@ fn a_power_cycle_forgets_everything_but_policy_and_bus() {
     for _ in 0..10 {
         status = node.poll(0);
     }
-    assert_eq!((status.state, status.fault), (State::Ready, Fault::None), "an emergency stop is latched until RESET or power");
+    assert_eq!(
+        (status.state, status.fault),
+        (State::Ready, Fault::None),
+        "an emergency stop is latched until RESET or power"
+    );
     assert_eq!(status.counters, gadm_node::Counters::default());
 }

@@ -1,145 +1,127 @@
-//! Time that frames take on the wire, at worst, and the load that a policy puts on a bus.
+//! Load and response time of a policy on a bus: what the two profiles ask for, and what to do where one does not fit.
 //!
-//! Bit counts are those of ISO 11898-1 with every possible stuff bit and the three bits of interframe space.
+//! The arithmetic is [`gadm_node::load`], which the exporter uses too.
 
-use gadm_node::codec::{Layout, Profile};
-use gadm_node::frame::{Frame, Kind};
+use gadm_node::Profile;
+pub use gadm_node::load::{BitRate, Load, load, worst_case_bits};
+use gadm_node::load::{policy_load, proposal};
+use gadm_runtime::Policy;
 use serde::Serialize;
 
-/// Bit rates of a bus, bit/s.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct BitRate {
-    /// Classic frames, and the arbitration phase of FD frames.
-    pub nominal: u32,
-    /// Data phase of FD frames with bit-rate switch.
-    pub data: u32,
+use crate::SimError;
+
+/// One profile at one bit rate.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Row {
+    /// Name of the profile.
+    pub profile: &'static str,
+    /// Bit rates.
+    pub bit_rate: BitRate,
+    /// The load; `None` where the profile cannot carry the policy at all.
+    pub load: Option<Load>,
+    /// Within the limits.
+    pub fits: bool,
+    /// Why it does not fit.
+    pub reason: Option<String>,
 }
 
-impl Default for BitRate {
-    /// 500 kbit/s, 2 Mbit/s.
-    fn default() -> Self {
-        Self { nominal: 500_000, data: 2_000_000 }
-    }
+/// Answer to "does this policy fit this bus".
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Survey {
+    /// Version of this record.
+    pub version: u32,
+    /// Environment that the policy was trained for; may be empty.
+    pub environment: String,
+    /// Numbers of an observation.
+    pub observations: usize,
+    /// Numbers of an action.
+    pub actions: usize,
+    /// Control period, µs.
+    pub control_period_us: u32,
+    /// The profiles at the bit rate asked for.
+    pub profiles: Vec<Row>,
+    /// For each profile, the slowest usual bit rate at which it fits.
+    pub proposals: Vec<Row>,
 }
 
-impl BitRate {
-    /// Worst-case time of a frame, nanoseconds.
+impl Survey {
+    /// Looks at `profiles` at a bit rate.
     #[must_use]
-    pub fn frame_ns(self, kind: Kind, extended: bool, payload: usize) -> u64 {
-        let (nominal, data) = worst_case_bits(kind, extended, payload);
-        nominal * 1_000_000_000 / u64::from(self.nominal) + data * 1_000_000_000 / u64::from(self.data)
+    pub fn new(policy: &Policy, profiles: &[Profile], rate: BitRate) -> Self {
+        let row = |profile: Profile, bit_rate, load: Result<Load, String>| {
+            let reason = match &load {
+                Ok(load) => load.excess().map(|e| e.to_string()),
+                Err(reason) => Some(reason.clone()),
+            };
+            Row { profile: profile.name(), bit_rate, load: load.ok(), fits: reason.is_none(), reason }
+        };
+        let now = |profile| policy_load(policy, profile, rate).map_err(|e| e.to_string());
+        Self {
+            version: 1,
+            environment: policy.provenance().environment.to_owned(),
+            observations: usize::from(policy.spec().obs_dim),
+            actions: usize::from(policy.spec().action_dim),
+            control_period_us: policy.spec().control_period_us,
+            profiles: profiles.iter().map(|&p| row(p, rate, now(p))).collect(),
+            proposals: Profile::ALL
+                .iter()
+                .filter_map(|&p| proposal(policy, p).map(|(bit_rate, load)| row(p, bit_rate, Ok(load))))
+                .collect(),
+        }
     }
 
-    /// As [`frame_ns`](Self::frame_ns), of a frame.
+    /// One of the profiles fits.
     #[must_use]
-    pub fn time_ns(self, frame: &Frame) -> u64 {
-        self.frame_ns(frame.kind(), frame.standard_id().is_none(), frame.payload().len())
+    pub fn fits(&self) -> bool {
+        self.profiles.iter().any(|row| row.fits)
     }
-}
 
-/// Bits of a frame at the nominal and at the data bit rate.
-#[must_use]
-pub fn worst_case_bits(kind: Kind, extended: bool, payload: usize) -> (u64, u64) {
-    let bytes = payload as u64;
-    match kind {
-        // Start to CRC sequence are stuffed (34 or 54 bits and the data); 13 bits of delimiter, ACK, EOF and space are not.
-        Kind::Classic | Kind::Remote => {
-            let stuffed = if extended { 54 } else { 34 } + 8 * bytes;
-            (stuffed + 13 + (stuffed - 1) / 4, 0)
-        }
-        Kind::Fd { brs } => {
-            // Start, identifier, RRS (SRR, IDE), IDE, FDF, res, BRS.
-            let head = if extended { 36 } else { 17 };
-            let nominal = head + (head - 1) / 4 + 13;
-            // ESI, DLC and data with dynamic stuffing; stuff count, CRC and their fixed stuff bits.
-            let body = 5 + 8 * bytes;
-            let tail = if bytes <= 16 { 4 + 17 + 6 } else { 4 + 21 + 7 };
-            let data = body + body / 4 + tail;
-            if brs { (nominal, data) } else { (nominal + data, 0) }
+    /// What to do where none fits: the profiles and bit rates that do.
+    #[must_use]
+    pub fn advice(&self) -> String {
+        let all: Vec<_> = self.proposals.iter().map(Row::brief).collect();
+        if all.is_empty() {
+            "no profile fits at any usual bit rate: lower the control rate or send fewer signals".to_owned()
+        } else {
+            format!("what fits: {}", all.join("; "))
         }
     }
 }
 
-/// Load that a policy puts on a bus.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Load {
-    /// Observation frames of one control period.
-    pub observation_frames: usize,
-    /// Action frames of one control period, DECISION included.
-    pub action_frames: usize,
-    /// Worst-case time of the observation and action sets, per cent of the control period.
-    pub sets_percent: f64,
-    /// As above with TICK and both heartbeats.
-    pub total_percent: f64,
-}
+impl Row {
+    /// Bit rate in kbit/s, as people write it: `500`, or `500/2000` with CAN FD.
+    #[must_use]
+    pub fn rate(&self) -> String {
+        let (nominal, data) = (self.bit_rate.nominal / 1000, self.bit_rate.data / 1000);
+        if self.profile == Profile::FdF32.name() { format!("{nominal}/{data}") } else { nominal.to_string() }
+    }
 
-/// The load of a layout at a control period.
-#[must_use]
-pub fn load(layout: &Layout, period_us: u32, rate: BitRate) -> Load {
-    let kind = match layout.profile() {
-        Profile::FdF32 => Kind::Fd { brs: true },
-        Profile::ClassicI16 => Kind::Classic,
-    };
-    let per_part = layout.profile().values();
-    let set_ns = |dim: usize| -> u64 {
-        let full = rate.frame_ns(kind, false, layout.payload_len(per_part)) * (dim / per_part) as u64;
-        let rest = dim % per_part;
-        full + if rest > 0 { rate.frame_ns(kind, false, layout.payload_len(rest)) } else { 0 }
-    };
-    let classic8 = rate.frame_ns(Kind::Classic, false, 8);
-    let decision = usize::from(layout.profile() == Profile::ClassicI16);
-    let sets_ns = set_ns(layout.obs_dim()) + set_ns(layout.action_dim());
-    let period_ns = f64::from(period_us) * 1e3;
-    let heartbeats_percent = (classic8 + rate.frame_ns(Kind::Classic, false, 1)) as f64 / 1e8 * 100.0;
-    Load {
-        observation_frames: layout.observation_parts(),
-        action_frames: layout.action_parts() + decision,
-        sets_percent: sets_ns as f64 / period_ns * 100.0,
-        total_percent: (sets_ns + classic8 * (1 + decision as u64)) as f64 / period_ns * 100.0 + heartbeats_percent,
+    /// `fd-f32 at 1000/5000 kbit/s (31 %)`.
+    fn brief(&self) -> String {
+        let percent = self.load.map_or(0.0, |l| l.total_percent);
+        format!("{} at {} kbit/s ({percent:.0} %)", self.profile, self.rate())
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use gadm_node::NodeId;
-    use gadm_runtime::ActionHead;
-
-    #[test]
-    fn bits_of_known_frames() {
-        assert_eq!(worst_case_bits(Kind::Classic, false, 8), (135, 0));
-        assert_eq!(worst_case_bits(Kind::Classic, false, 0), (47 + 8, 0));
-        assert_eq!(worst_case_bits(Kind::Classic, true, 8), (160, 0));
-        let us = |nominal, data, n| BitRate { nominal, data }.frame_ns(Kind::Fd { brs: true }, false, n) as f64 / 1e3;
-        for (n, slow, fast) in [(64, 407.0, 170.0), (32, 247.0, 106.0), (16, 164.0, 73.0), (8, 124.0, 57.0)] {
-            assert!((us(500_000, 2_000_000, n) - slow).abs() <= 1.0, "{n}: {}", us(500_000, 2_000_000, n));
-            assert!((us(1_000_000, 5_000_000, n) - fast).abs() <= 1.0, "{n}: {}", us(1_000_000, 5_000_000, n));
-        }
-    }
-
-    fn percent(profile: Profile, obs: usize, act: usize, period_us: u32, nominal: u32, data: u32) -> f64 {
-        let heads = (0..act).map(|_| ActionHead::Continuous { lo: -1.0, hi: 1.0 });
-        let layout = Layout::new(profile, NodeId::DEFAULT, 0, (0..obs).map(|_| (-1.0, 1.0)), heads).unwrap();
-        load(&layout, period_us, BitRate { nominal, data }).sets_percent
-    }
-
-    #[test]
-    fn load_table_of_known_tasks() {
-        // Hopper, Walker2d, Ant v5, Humanoid v5: classic at 500k, FD f32 at 0.5/2 and 1/5.
-        for (obs, act, period, classic, slow, fast) in [
-            (11, 3, 8_000, 16.9, 7.4, 3.1),
-            (17, 6, 8_000, 27.0, 10.5, 4.5),
-            (105, 8, 50_000, 20.5, 7.0, 2.9),
-            (348, 17, 15_000, 220.0, 71.8, 29.9),
-        ] {
-            let got = [
-                percent(Profile::ClassicI16, obs, act, period, 500_000, 1),
-                percent(Profile::FdF32, obs, act, period, 500_000, 2_000_000),
-                percent(Profile::FdF32, obs, act, period, 1_000_000, 5_000_000),
-            ];
-            for (got, want) in got.into_iter().zip([classic, slow, fast]) {
-                assert!((got - want).abs() <= 0.06_f64.max(want * 0.005), "{obs}/{act}: {got} instead of {want}");
-            }
+/// Refuses a profile that does not fit.
+///
+/// # Errors
+/// [`SimError::Overload`] with the reason and what fits instead; [`SimError::Layout`] where the profile cannot carry
+/// the policy at any bit rate.
+pub fn check(policy: &Policy, profile: Profile, rate: BitRate) -> Result<Load, SimError> {
+    let load =
+        policy_load(policy, profile, rate).map_err(|source| SimError::Layout { profile: profile.name(), source })?;
+    match load.excess() {
+        None => Ok(load),
+        Some(excess) => {
+            let survey = Survey::new(policy, &[profile], rate);
+            let at = survey.profiles.first().map_or_else(String::new, Row::rate);
+            Err(SimError::Overload {
+                profile: profile.name(),
+                rate: at,
+                reason: excess.to_string(),
+                advice: survey.advice(),
+            })
         }
     }
 }

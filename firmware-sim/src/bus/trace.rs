@@ -4,11 +4,14 @@
 //! a digit of flags (1 = bit-rate switch) before that of an FD frame, `#R` for a remote frame.
 
 use std::fmt::Write as _;
-use std::io::{self, Write};
+use std::fs::File;
+use std::io::{self, BufRead as _, BufReader, Write};
+use std::path::Path;
 
 use gadm_node::Frame;
 use gadm_node::frame::{FD_LENGTHS, Kind, extended, standard};
 
+use crate::SimError;
 use crate::bus::loopback::Tap;
 
 /// Name of the bus in traces.
@@ -78,6 +81,25 @@ pub struct Record {
     pub frame: Option<Frame>,
 }
 
+/// Reads a whole trace; empty lines are skipped.
+///
+/// # Errors
+/// [`SimError::Read`], and [`SimError::Trace`] with the first line that is not one of a trace.
+pub fn read(path: &Path) -> Result<Vec<Record>, SimError> {
+    let failed = |source| SimError::Read { path: path.to_owned(), source };
+    let file = BufReader::new(File::open(path).map_err(failed)?);
+    let mut records = Vec::new();
+    for (i, line) in file.lines().enumerate() {
+        let line = line.map_err(failed)?;
+        if line.trim().is_empty() {
+            continue;
+        }
+        let wrong = |source| SimError::Trace { path: path.to_owned(), line: i + 1, source };
+        records.push(parse_line(&line).map_err(wrong)?);
+    }
+    Ok(records)
+}
+
 /// What is wrong with a line.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("expected {expected}, found `{found}`")]
@@ -139,7 +161,12 @@ pub fn parse_line(line: &str) -> Result<Record, LineError> {
         let dlc = if rest.is_empty() { Some(0) } else { rest.parse().ok() };
         dlc.and_then(|dlc| Frame::remote(id, dlc))
     } else {
-        Frame::classic(id, &hex(data)?)
+        // `_9` to `_F`: the raw length code of a classic frame, where it is above 8. The bytes are 8 all the same.
+        let bytes = match data.split_once('_') {
+            Some((bytes, dlc)) if matches!(dlc.as_bytes(), [b'9' | b'A'..=b'F']) => bytes,
+            _ => data,
+        };
+        Frame::classic(id, &hex(bytes)?)
     };
     let frame = frame.ok_or_else(|| wrong("a length that CAN (0-8) or CAN FD (0-8, 12, 16, … 64) has", data))?;
     Ok(Record { time_us, interface: interface.to_owned(), frame: Some(frame) })
@@ -181,6 +208,8 @@ mod tests {
         assert_eq!((r.time_us, r.interface.as_str()), (1_600_000_000_000_001, "can0"));
         assert_eq!(r.frame.unwrap().kind(), Kind::Fd { brs: true });
         assert_eq!(parse_line("(0.000000) can0 20000040#0000000000000000").unwrap().frame, None);
+        let raw = parse_line("(0.000000) can0 123#1122334455667788_E").unwrap().frame.unwrap();
+        assert_eq!((raw.kind(), raw.payload()[7]), (Kind::Classic, 0x88));
         assert_eq!(parse_line("(0.000000) can0 123#R").unwrap().frame, Frame::remote(standard(0x123), 0));
     }
 
@@ -197,7 +226,7 @@ mod tests {
             ("(1.000000) can0 12#", "3 digits"),
             ("(1.000000) can0 FFF#", "3 digits"),
             ("(1.000000) can0 123#1", "pairs"),
-            ("(1.000000) can0 123#1122334455667788_E", "pairs"),
+            ("(1.000000) can0 123#1122334455667788_8", "pairs"),
             ("(1.000000) can0 123#112233445566778899", "length"),
             ("(1.000000) can0 123##1112233445566778899", "length"),
             ("(1.000000) can0 123##", "digit of flags"),

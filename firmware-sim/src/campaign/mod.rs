@@ -20,9 +20,9 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError, mpsc};
 
+use crate::SimError;
 use crate::scenario::Scenario;
 use crate::sil::run_with_progress;
-use crate::SimError;
 
 /// How a campaign is run.
 #[derive(Clone, Debug, PartialEq)]

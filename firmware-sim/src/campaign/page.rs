@@ -34,8 +34,19 @@ pub(super) fn html(found: &Campaign, scenario: &Scenario, options: &Options) -> 
     page.text("The share of the nominal return that is left, over the intensity in brackets.");
     page.section("Faults").table(
         [
-            "fault", "intensity", "runs met", "injected", "noticed", "periods to notice", "made safe", "periods to safe",
-            "worst action error", "oldest action", "return", "of nominal", "",
+            "fault",
+            "intensity",
+            "runs met",
+            "injected",
+            "noticed",
+            "periods to notice",
+            "made safe",
+            "periods to safe",
+            "worst action error",
+            "oldest action",
+            "return",
+            "of nominal",
+            "",
         ],
         found.tallies.iter().map(row),
     );

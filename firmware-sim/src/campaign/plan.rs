@@ -39,10 +39,8 @@ impl Plan {
         let crc = crc32(&image);
         let seeds = scenario.seed..scenario.seed.saturating_add(seeds.max(1));
         let nominal = scenario.criteria.without_faults();
-        let mut jobs: Vec<Job> = seeds
-            .clone()
-            .map(|seed| Job { fault: None, intensity: "–".to_owned(), seed, criteria: nominal })
-            .collect();
+        let mut jobs: Vec<Job> =
+            seeds.clone().map(|seed| Job { fault: None, intensity: "–".to_owned(), seed, criteria: nominal }).collect();
         for entry in &scenario.faults {
             for (intensity, fault) in &entry.sweep {
                 let (fault, criteria) = (Some(fault.clone()), entry.criteria);

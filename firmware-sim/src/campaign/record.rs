@@ -174,9 +174,8 @@ pub(super) fn tally(records: &[Record]) -> Vec<Tally> {
             let runs: Vec<&Record> = records.iter().filter(|r| r.fault == fault && r.intensity == intensity).collect();
             let n = runs.len() as f64;
             let hit: u64 = runs.iter().map(|r| r.hit).sum();
-            let share = |f: fn(&Record) -> u64| {
-                (hit > 0).then(|| runs.iter().map(|r| f(r)).sum::<u64>() as f64 / hit as f64)
-            };
+            let share =
+                |f: fn(&Record) -> u64| (hit > 0).then(|| runs.iter().map(|r| f(r)).sum::<u64>() as f64 / hit as f64);
             let ratios: Vec<f64> = runs.iter().filter_map(|r| r.return_ratio).collect();
             Tally {
                 fault: fault.to_owned(),

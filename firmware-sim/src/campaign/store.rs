@@ -61,8 +61,8 @@ impl Store {
 
     /// Adds a record: one write, so that a kill cuts at most this line.
     pub(super) fn append(&mut self, record: &Record) -> Result<(), SimError> {
-        let mut line = serde_json::to_string(record)
-            .map_err(|e| SimError::Write { path: self.path.clone(), source: e.into() })?;
+        let mut line =
+            serde_json::to_string(record).map_err(|e| SimError::Write { path: self.path.clone(), source: e.into() })?;
         line.push('\n');
         self.write(line.as_bytes())
     }

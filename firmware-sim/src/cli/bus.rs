@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use clap::Subcommand;
 
-use super::{hub, monitor};
+use super::{hub, load, monitor};
 
 /// Arguments of `bus`.
 #[derive(clap::Args)]
@@ -19,6 +19,8 @@ enum Command {
     Hub(hub::Args),
     /// Watch a bus or a trace: signals, rates, load, gaps, latents, nodes
     Monitor(monitor::Args),
+    /// Does a policy fit a bus: worst-case load and response time
+    Load(load::Args),
 }
 
 /// Runs the command.
@@ -26,5 +28,6 @@ pub(crate) fn main(args: &Args) -> anyhow::Result<ExitCode> {
     match &args.command {
         Command::Hub(args) => hub::main(args),
         Command::Monitor(args) => monitor::main(args),
+        Command::Load(args) => load::main(args),
     }
 }

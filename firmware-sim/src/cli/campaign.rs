@@ -53,8 +53,7 @@ pub(crate) fn main(args: &Args) -> anyhow::Result<ExitCode> {
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from(format!("campaign-{}", scenario.name)));
     let jobs = args.jobs.or_else(|| std::thread::available_parallelism().ok()).map_or(1, NonZero::get);
     let seeds = args.seeds.unwrap_or(scenario.seeds);
-    let command =
-        format!("gadm-sim campaign {} --seeds {seeds} -o {}", args.scenario.display(), out.display());
+    let command = format!("gadm-sim campaign {} --seeds {seeds} -o {}", args.scenario.display(), out.display());
     let options = Options { jobs, seeds: Some(seeds), out, command };
     let mut display = Display::new(args.quiet);
     let found = campaign(&scenario, &options, &mut |p| display.show(p));

@@ -3,12 +3,16 @@
 mod bus;
 mod campaign;
 mod completions;
+mod dbc;
 mod doctor;
 mod hub;
+mod load;
 mod man;
 mod monitor;
 mod node;
+mod replay;
 mod report;
+mod reset;
 mod run;
 mod soak;
 mod trace;
@@ -40,12 +44,18 @@ enum Command {
     Node(node::Args),
     /// Run plant and host on a bus where a node is already
     Plant(run::PlantArgs),
-    /// Connect programs to one bus
+    /// Connect programs to one bus; how much of a bus a policy needs
     Bus(bus::Args),
     /// Run every fault of a scenario at every intensity, on all cores
     Campaign(campaign::Args),
     /// Run a million steps over a hub with random faults, and account for every frame
     Soak(soak::Args),
+    /// Write the messages of a policy as a CAN database (DBC)
+    Dbc(dbc::Args),
+    /// Put a trace through a policy again: the same actions, or where they differ
+    Replay(replay::Args),
+    /// Print the states from which the episodes of a plant start
+    Reset(reset::Args),
     /// Read a candump trace as named signals
     Trace(trace::Args),
     /// Say what this machine can do, and how to get the rest
@@ -65,6 +75,9 @@ pub(crate) fn main() -> ExitCode {
         Command::Bus(args) => bus::main(&args),
         Command::Campaign(args) => campaign::main(&args),
         Command::Soak(args) => soak::main(&args),
+        Command::Dbc(args) => dbc::main(&args),
+        Command::Replay(args) => replay::main(&args),
+        Command::Reset(args) => reset::main(&args),
         Command::Trace(args) => trace::main(&args),
         Command::Doctor(args) => doctor::main(&args),
         Command::Completions(args) => completions::main(&args),

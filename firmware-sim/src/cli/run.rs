@@ -104,6 +104,9 @@ struct What {
     /// Exit with 3 where the mean return is below X
     #[arg(long, value_name = "X", allow_negative_numbers = true, help_heading = "Criteria")]
     min_return: Option<f64>,
+    /// Run although the policy does not fit the bus (see `gadm-sim bus load`)
+    #[arg(long, help_heading = "Bus")]
+    allow_overload: bool,
     /// Bit rate of classic frames and of the arbitration of FD frames, bit/s
     #[arg(long, default_value_t = BitRate::default().nominal, value_name = "BPS",
           value_parser = clap::value_parser!(u32).range(10_000..=1_000_000), help_heading = "Bus")]
@@ -191,6 +194,7 @@ fn drive(args: &What, place: Place) -> anyhow::Result<ExitCode> {
         seed: args.seed,
         profile: args.profile.into(),
         bit_rate: BitRate { nominal: args.bitrate, data: args.data_bitrate },
+        allow_overload: args.allow_overload,
         trace: args.trace.clone(),
         faults: Vec::new(),
         record: args.report.is_some().then(Recording::default),

@@ -77,15 +77,23 @@ pub(crate) fn main(args: &Args) -> anyhow::Result<ExitCode> {
 fn table(found: &Soak) {
     let rate = found.steps as f64 / found.wall_s;
     let injected: u64 = found.faults.iter().map(|f| f.injected).sum();
-    say(&format!("  steps       {} in {:.0} s, {rate:.0} a second, {} episodes", found.steps, found.wall_s, found.episodes));
+    say(&format!(
+        "  steps       {} in {:.0} s, {rate:.0} a second, {} episodes",
+        found.steps, found.wall_s, found.episodes
+    ));
     say(&format!("  faults      {injected} injected, {} kinds", found.faults.len()));
     say(&format!("  frames      {} on the wire, {} received by the listener", found.wire.frames, found.heard.frames));
-    say(&format!("  jumps       {} ticks, {} action sets, the same at both ends", found.wire.tick_jumps, found.wire.set_jumps));
+    say(&format!(
+        "  jumps       {} ticks, {} action sets, the same at both ends",
+        found.wire.tick_jumps, found.wire.set_jumps
+    ));
     let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
     let (first, last) = (found.memory.first(), found.memory.last());
     let at = |s: Option<&gadm_sim::soak::Sample>| s.map_or(0.0, |s| mib(s.resident));
     say(&format!(
         "  memory      {:.1} MiB at first, {:.1} MiB at last, grew {:.2} MiB after the first fifth",
-        at(first), at(last), mib(found.growth)
+        at(first),
+        at(last),
+        mib(found.growth)
     ));
 }

@@ -1,14 +1,13 @@
 //! `gadm-sim trace`.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{BufRead, BufReader, BufWriter, Write};
+use std::io::{BufWriter, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use gadm_runtime::Policy;
 use gadm_sim::SimError;
-use gadm_sim::bus::trace::{Record, parse_line};
+use gadm_sim::bus::trace;
 use gadm_sim::decode::{Decoder, profile_of};
 use gadm_sim::sil::read_image;
 use serde_json::{Value, json};
@@ -19,6 +18,7 @@ const EXAMPLES: &str = "\
 Examples:
   gadm-sim trace run.log --policy policy.bin | less
   gadm-sim trace run.log --policy policy.bin --json | jq 'select(.name==\"ACT\")'
+  gadm-sim trace run.log --policy policy.bin --mcap run.mcap
 
 Frames of another policy or damaged ones are shown with the reason; the exit
 code is 0 all the same. A line that is not candump text is an error (1).";
@@ -35,13 +35,22 @@ pub(crate) struct Args {
     /// One JSON object per frame
     #[arg(long)]
     json: bool,
+    /// Write signals and events to FILE for Foxglove, and print no frames
+    #[cfg(feature = "mcap")]
+    #[arg(long, value_name = "FILE", conflicts_with = "json")]
+    mcap: Option<PathBuf>,
 }
 
 /// Runs the command.
 pub(crate) fn main(args: &Args) -> anyhow::Result<ExitCode> {
     let image = read_image(&args.policy)?;
     let policy = Policy::load(&image).map_err(SimError::Policy)?;
-    let records = read(&args.file)?;
+    let records = trace::read(&args.file)?;
+    #[cfg(feature = "mcap")]
+    if let Some(path) = &args.mcap {
+        write_mcap(&policy, &records, path)?;
+        return Ok(ExitCode::SUCCESS);
+    }
     let profile = profile_of(records.iter().filter_map(|r| r.frame.as_ref())).unwrap_or(gadm_sim::Profile::FdF32);
     let decoder = Decoder::new(&policy, profile)?;
     let mut out = BufWriter::new(std::io::stdout().lock());
@@ -84,17 +93,14 @@ pub(crate) fn main(args: &Args) -> anyhow::Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn read(path: &PathBuf) -> Result<Vec<Record>, SimError> {
-    let failed = |source| SimError::Read { path: path.clone(), source };
-    let file = BufReader::new(File::open(path).map_err(failed)?);
-    let mut records = Vec::new();
-    for (i, line) in file.lines().enumerate() {
-        let line = line.map_err(failed)?;
-        if line.trim().is_empty() {
-            continue;
-        }
-        let record = parse_line(&line).map_err(|source| SimError::Trace { path: path.clone(), line: i + 1, source })?;
-        records.push(record);
-    }
-    Ok(records)
+/// Writes the MCAP file of a trace.
+#[cfg(feature = "mcap")]
+pub(crate) fn write_mcap(policy: &Policy, records: &[trace::Record], path: &std::path::Path) -> anyhow::Result<()> {
+    use anyhow::Context as _;
+
+    let file = std::fs::File::create(path).map_err(|source| SimError::Write { path: path.to_owned(), source })?;
+    let written = gadm_sim::mcap::export(policy, records, std::io::BufWriter::new(file))
+        .with_context(|| path.display().to_string())?;
+    say(&format!("{}: {} messages, {} of them events", path.display(), written.messages, written.events));
+    Ok(())
 }

@@ -51,13 +51,7 @@ pub(super) struct ActuatorState {
 
 impl ActuatorState {
     /// What the actuator does instead of `asked`, with range `lo..hi`; `None` where it obeys. Call it in every tick.
-    pub(super) fn act(
-        &mut self,
-        fault: &ActuatorFault,
-        asked: f32,
-        (lo, hi): (f32, f32),
-        active: bool,
-    ) -> Option<f32> {
+    pub(super) fn act(&mut self, fault: &ActuatorFault, asked: f32, (lo, hi): (f32, f32), active: bool) -> Option<f32> {
         let (middle, half) = (f64::midpoint(f64::from(lo), f64::from(hi)), (f64::from(hi) - f64::from(lo)) / 2.0);
         if !active {
             (self.done, self.stuck) = (Some(asked), None);
@@ -74,7 +68,11 @@ impl ActuatorState {
                 last + (wanted - last) * (1.0 - (-1.0 / ticks.max(1e-9)).exp())
             }
             ActuatorFault::DeadZone { width } => {
-                if (wanted - middle).abs() < width * half { middle } else { wanted }
+                if (wanted - middle).abs() < width * half {
+                    middle
+                } else {
+                    wanted
+                }
             }
             ActuatorFault::Gain { factor } => middle + (wanted - middle) * factor,
         } as f32;

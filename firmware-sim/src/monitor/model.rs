@@ -393,7 +393,14 @@ impl<'p> Model<'p> {
 
 /// What can be said about a frame without a policy.
 fn plain(frame: &Frame) -> Decoded {
-    let mut decoded = Decoded { name: "UNKNOWN", id: frame.raw_id(), node: None, signals: Map::new(), error: None };
+    let mut decoded = Decoded {
+        name: "UNKNOWN",
+        id: frame.raw_id(),
+        node: None,
+        signals: Map::new(),
+        framing: Map::new(),
+        error: None,
+    };
     let Some(to) = frame.standard_id().and_then(address) else {
         decoded.signals = data(frame);
         return decoded;

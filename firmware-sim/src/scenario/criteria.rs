@@ -106,7 +106,8 @@ impl Criteria {
             let ratio = clean.map(|nominal| return_ratio(result.returns.mean, nominal));
             v.at_least("min_return_ratio", limit, ratio);
         }
-        let hit: Vec<_> = e.iter().filter_map(|e| e.faults.filter(|f| f.first_tick.is_some()).map(|f| (e, f))).collect();
+        let hit: Vec<_> =
+            e.iter().filter_map(|e| e.faults.filter(|f| f.first_tick.is_some()).map(|f| (e, f))).collect();
         if let Some(limit) = self.max_time_to_detect {
             let due = hit.iter().filter(|(e, f)| lasts(e, f.first_tick, limit) || f.detected_after.is_some());
             v.all_within("max_time_to_detect", limit, due.map(|(_, f)| f.detected_after));

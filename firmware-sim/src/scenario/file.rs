@@ -81,8 +81,8 @@ pub(super) fn parse(text: &str, path: &Path) -> Result<Scenario, SimError> {
         let line = at.map(|at| text.get(..at).unwrap_or(text).lines().count().max(1));
         SimError::Scenario { path: path.to_owned(), line, what }
     };
-    let file: File = toml::from_str(text)
-        .map_err(|e| wrong(e.span().map(|s| s.start + 1), fault::explain(e.message())))?;
+    let file: File =
+        toml::from_str(text).map_err(|e| wrong(e.span().map(|s| s.start + 1), fault::explain(e.message())))?;
     let start = |span: std::ops::Range<usize>| Some(span.start + 1);
     let Some(profile) = Profile::ALL.into_iter().find(|p| p.name() == file.profile.get_ref()) else {
         let known = Profile::ALL.map(Profile::name).join("` or `");

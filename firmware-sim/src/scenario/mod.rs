@@ -87,8 +87,7 @@ impl Scenario {
     /// # Errors
     /// [`SimError::Read`], or [`SimError::Scenario`] with file, line, what was expected and found.
     pub fn load(path: &Path) -> Result<Self, SimError> {
-        let text =
-            std::fs::read_to_string(path).map_err(|source| SimError::Read { path: path.to_owned(), source })?;
+        let text = std::fs::read_to_string(path).map_err(|source| SimError::Read { path: path.to_owned(), source })?;
         Self::parse(&text, path)
     }
 
