@@ -140,7 +140,7 @@ pub fn linear_layer(stream: &[u8], cols: u16, x: &[u32], out: &mut [u32]) {
     }
 }
 
-/// Replaces logits (`i32` as words) by `2^-(top - logit)` as Q30; see [`exp2_neg`](super::exp2_neg).
+/// Replaces logits (`i32` as words) by `2^-(top - logit)` as Q30; see [`exp2_neg`].
 pub fn exp2_below(logits: &mut [u32], top: i32, frac_bits: u32) {
     for word in logits {
         *word = exp2_neg(top.wrapping_sub(word.cast_signed()).cast_unsigned(), frac_bits);
