@@ -162,7 +162,7 @@ fn remapping_off_trains_the_latent_of_collection_time() {
         config.round.remap = remap;
         let (source, _) = trained(small("moving"));
         let (next, columns) = source.d_rl.arrays();
-        let mut columns = columns.map(<[f32]>::to_vec);
+        let mut columns = columns;
         columns[2].fill(5.0);
         let mut run = Run::new(config.clone()).unwrap();
         assert!(run.d_rl.restore(next, columns));

@@ -25,12 +25,8 @@ pub fn step(id: &str, envs: usize, threads: usize, seconds: f64) -> Result<Timin
         space.random(&mut rng, &mut drawn);
         space.to_native(&drawn, native);
     }
-    let label = Label {
-        case: "env",
-        what: format!("{id}, {envs} environments, random actions"),
-        unit: "steps",
-        flop: 0.0,
-    };
+    let label =
+        Label { case: "env", what: format!("{id}, {envs} environments, random actions"), unit: "steps", flop: 0.0 };
     let mut failed = None;
     let each = envs * space.slots();
     let timing = repeat(&label, threads, seconds, || {

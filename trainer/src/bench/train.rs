@@ -9,7 +9,8 @@ use crate::config::{RoundConfig, TrainConfig, WarmupConfig};
 use crate::discretizer::gadm::{ActionModel, ActionModelConfig, Confidence, ConfidenceConfig};
 use crate::error::TrainError;
 use crate::nn::AdamConfig;
-use crate::nn::gemm::matmul_nt;
+use crate::nn::kernel::{Epilogue, Left, Product, pack_panels, panels_len, product};
+use crate::nn::parallel;
 use crate::replay::RlBatch;
 use crate::runner::Run;
 use crate::seed::{Rng, SeedTree};
@@ -94,6 +95,7 @@ fn dqn_config(hidden: &[usize]) -> DqnConfig {
 pub fn run(case: Case, threads: usize, seconds: f64) -> Result<Timing, TrainError> {
     let mut rng = SeedTree::new(1).stream("bench");
     let rng = &mut rng;
+    parallel::start(threads);
     match case {
         Case::Sgemm => Ok(sgemm(rng, threads, seconds)),
         Case::Dqn => {
@@ -165,6 +167,8 @@ pub fn run(case: Case, threads: usize, seconds: f64) -> Result<Timing, TrainErro
 fn sgemm(rng: &mut Rng, threads: usize, seconds: f64) -> Timing {
     let (m, n, k) = (BATCH, 256, 256);
     let (a, b) = (random(rng, m * k), random(rng, n * k));
+    let mut right = vec![0.0; panels_len(k, n)];
+    pack_panels(&b, k, n, &mut right);
     let mut c = vec![vec![0.0; m * n]; threads];
     let label = Label {
         case: "sgemm",
@@ -177,8 +181,10 @@ fn sgemm(rng: &mut Rng, threads: usize, seconds: f64) -> Timing {
         let each = 64;
         std::thread::scope(|scope| {
             for c in &mut c {
-                let (a, b) = (&a, &b);
-                scope.spawn(move || (0..each).for_each(|_| matmul_nt(m, n, k, a, b, c)));
+                let (left, right) = (Left::Rows(&a), &right);
+                scope.spawn(move || {
+                    (0..each).for_each(|_| product(Product { m, n, k, left, right, c, end: Epilogue::Store }));
+                });
             }
         });
         each * threads as u64
@@ -231,7 +237,8 @@ fn round(threads: usize, seconds: f64) -> Result<Timing, TrainError> {
     }
     let label = Label {
         case: "round",
-        what: "Algorithm 1 on Hopper-v5, rounds of 256 steps + 50 action-model + 10 confidence + 50 Q updates".to_owned(),
+        what: "Algorithm 1 on Hopper-v5, rounds of 256 steps + 50 action-model + 10 confidence + 50 Q updates"
+            .to_owned(),
         unit: "steps",
         flop: 0.0,
     };

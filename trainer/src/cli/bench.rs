@@ -114,7 +114,8 @@ pub fn main(command: &Command) -> anyhow::Result<ExitCode> {
             common.check()?;
             let chosen = train::CASES.iter().filter(|(name, _)| cases.is_empty() || cases.iter().any(|c| c == name));
             let threads = usize::from(common.threads);
-            let all = chosen.map(|(_, case)| train::run(*case, threads, common.seconds)).collect::<Result<Vec<_>, _>>()?;
+            let all =
+                chosen.map(|(_, case)| train::run(*case, threads, common.seconds)).collect::<Result<Vec<_>, _>>()?;
             timings(&all, common)?;
         }
         Command::Env { env: id, envs, common } => {

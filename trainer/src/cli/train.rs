@@ -3,11 +3,13 @@
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::available_parallelism;
 
 use anyhow::Context as _;
 use gadm_trainer::config::builtin::builtin;
 use gadm_trainer::config::resolve::resolve;
 use gadm_trainer::config::{Layer, TrainConfig, to_toml};
+use gadm_trainer::nn::parallel;
 use gadm_trainer::runner::progress::Style;
 use gadm_trainer::runner::train::CONFIG_FILE;
 use gadm_trainer::runner::{TrainOptions, train};
@@ -53,6 +55,9 @@ pub struct Args {
     /// Continue the run in --out
     #[arg(long)]
     resume: bool,
+    /// Threads that share the work of an update, 1 or 2; results are the same [default: as many as there are cores]
+    #[arg(long, value_parser = clap::value_parser!(u8).range(1..=2), value_name = "N")]
+    threads: Option<u8>,
     /// Print the resolved configuration and stop
     #[arg(long)]
     print_config: bool,
@@ -103,6 +108,7 @@ pub fn main(args: Args, quiet: bool) -> anyhow::Result<ExitCode> {
     })?;
     say(&format!("{} {} in {}", if args.resume { "continuing" } else { "training" }, config.env, dir.display()));
     let style = Style::detect(quiet);
+    parallel::start(args.threads.map_or_else(|| available_parallelism().map_or(1, usize::from), usize::from));
     let outcome =
         train(&TrainOptions { config: Some(config), dir: dir.clone(), resume: args.resume, style, stop: &STOP })?;
     if let Some(best) = outcome.best_return {

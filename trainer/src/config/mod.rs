@@ -114,7 +114,13 @@ pub struct ExploreConfig {
 
 impl Default for ExploreConfig {
     fn default() -> Self {
-        Self { epsilon_start: 1.0, epsilon_end: 0.05, epsilon_decay: 1e5, random: RandomChoice::Latent, extreme_noise: 0.0 }
+        Self {
+            epsilon_start: 1.0,
+            epsilon_end: 0.05,
+            epsilon_decay: 1e5,
+            random: RandomChoice::Latent,
+            extreme_noise: 0.0,
+        }
     }
 }
 

@@ -3,6 +3,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::parallel::{halves, join};
+use super::vector::vectorised;
 use crate::error::TrainError;
 
 /// Settings of the optimiser.
@@ -68,40 +70,90 @@ impl Adam {
         Self { config, m: vec![0.0; len], v: vec![0.0; len], steps: 0 }
     }
 
-    /// One step on the first `m.len()` parameters. Returns the gradient norm before clipping.
-    pub fn step(&mut self, params: &mut [f32], grads: &[f32]) -> f32 {
-        let norm = norm(&grads[..self.m.len()]);
+    /// One step on the first `m.len()` parameters with the sum of `grads`, which is left in the first one. Returns the
+    /// gradient norm before clipping.
+    ///
+    /// # Panics
+    /// Without a gradient, or where one is shorter than the moments.
+    pub fn step(&mut self, params: &mut [f32], grads: &mut [&mut [f32]]) -> f32 {
+        let len = self.m.len();
+        let middle = halves(len);
+        let (sum, more) = grads.split_first_mut().expect("at least one gradient");
+        let (sum_a, sum_b) = sum[..len].split_at_mut(middle);
+        let more = &*more;
+        let (a, b) = join(
+            || add_and_square(sum_a, more.iter().map(|g| &g[..middle])),
+            || add_and_square(sum_b, more.iter().map(|g| &g[middle..len])),
+        );
+        let norm = (a + b).sqrt() as f32;
         let clip = self.config.grad_clip as f32;
-        let scale = if clip > 0.0 { (clip / (norm + 1e-6)).min(1.0) } else { 1.0 };
         self.steps += 1;
-        let (b1, b2) = (self.config.beta1 as f32, self.config.beta2 as f32);
         let t = self.steps.min(1 << 30) as i32;
         let c1 = 1.0 - self.config.beta1.powi(t);
         let c2 = 1.0 - self.config.beta2.powi(t);
-        let rate = (self.config.learning_rate / c1) as f32;
-        let root = (1.0 / c2.sqrt()) as f32;
-        let eps = self.config.epsilon as f32;
-        for (((p, &g), m), v) in params.iter_mut().zip(grads).zip(&mut self.m).zip(&mut self.v) {
-            let g = g * scale;
-            *m = b1 * *m + (1.0 - b1) * g;
-            *v = b2 * *v + (1.0 - b2) * g * g;
-            *p -= rate * *m / (v.sqrt() * root + eps);
-        }
+        let step = Step {
+            scale: if clip > 0.0 { (clip / (norm + 1e-6)).min(1.0) } else { 1.0 },
+            b1: self.config.beta1 as f32,
+            b2: self.config.beta2 as f32,
+            rate: (self.config.learning_rate / c1) as f32,
+            root: (1.0 / c2.sqrt()) as f32,
+            eps: self.config.epsilon as f32,
+        };
+        let (params_a, params_b) = params[..len].split_at_mut(middle);
+        let (m_a, m_b) = self.m.split_at_mut(middle);
+        let (v_a, v_b) = self.v.split_at_mut(middle);
+        join(|| step.apply(params_a, sum_a, m_a, v_a), || step.apply(params_b, sum_b, m_b, v_b));
         norm
     }
 }
 
-/// L2 norm, in eight running sums so that it vectorises; f64 at the end.
-fn norm(values: &[f32]) -> f32 {
-    let mut lanes = [0.0_f32; 8];
-    let chunks = values.chunks_exact(8);
-    let rest: f32 = chunks.remainder().iter().map(|v| v * v).sum();
-    for chunk in chunks {
-        for (lane, v) in lanes.iter_mut().zip(chunk) {
-            *lane += v * v;
-        }
+/// The numbers of one step.
+#[derive(Clone, Copy)]
+struct Step {
+    scale: f32,
+    b1: f32,
+    b2: f32,
+    rate: f32,
+    root: f32,
+    eps: f32,
+}
+
+impl Step {
+    fn apply(self, params: &mut [f32], grads: &[f32], m: &mut [f32], v: &mut [f32]) {
+        let Self { scale, b1, b2, rate, root, eps } = self;
+        vectorised(
+            |()| {
+                for (((p, &g), m), v) in params.iter_mut().zip(grads).zip(m).zip(v) {
+                    let g = g * scale;
+                    *m = b1 * *m + (1.0 - b1) * g;
+                    *v = b2 * *v + (1.0 - b2) * g * g;
+                    *p -= rate * *m / (v.sqrt() * root + eps);
+                }
+            },
+            (),
+        );
     }
-    (lanes.iter().map(|&l| f64::from(l)).sum::<f64>() + f64::from(rest)).sqrt() as f32
+}
+
+/// Adds `more` to `sum`; returns the sum of squares of that, taken in eight running sums and added up in f64.
+fn add_and_square<'a>(sum: &mut [f32], more: impl Iterator<Item = &'a [f32]>) -> f64 {
+    vectorised(
+        |()| {
+            for g in more {
+                sum.iter_mut().zip(g).for_each(|(s, g)| *s += g);
+            }
+            let mut lanes = [0.0_f32; 8];
+            let chunks = sum.chunks_exact(8);
+            let rest: f32 = chunks.remainder().iter().map(|v| v * v).sum();
+            for chunk in chunks {
+                for (lane, v) in lanes.iter_mut().zip(chunk) {
+                    *lane += v * v;
+                }
+            }
+            lanes.iter().map(|&l| f64::from(l)).sum::<f64>() + f64::from(rest)
+        },
+        (),
+    )
 }
 
 #[cfg(test)]
@@ -112,7 +164,7 @@ mod tests {
     fn first_step_moves_by_the_learning_rate_against_the_sign() {
         let mut adam = Adam::new(AdamConfig { learning_rate: 0.1, grad_clip: 0.0, ..Default::default() }, 2);
         let mut p = [1.0, 1.0, 7.0];
-        adam.step(&mut p, &[4.0, -0.5]);
+        adam.step(&mut p, &mut [&mut [4.0, -0.5]]);
         assert!((p[0] - 0.9).abs() < 1e-6 && (p[1] - 1.1).abs() < 1e-6);
         assert_eq!(p[2], 7.0, "buffers behind the trainable part stay");
     }
@@ -122,8 +174,8 @@ mod tests {
         let config = AdamConfig { grad_clip: 0.5, epsilon: 0.1, ..Default::default() };
         let (mut a, mut b) = (Adam::new(config, 2), Adam::new(AdamConfig { grad_clip: 0.0, ..config }, 2));
         let (mut p, mut q) = ([0.0; 2], [0.0; 2]);
-        assert_eq!(a.step(&mut p, &[3.0, 4.0]), 5.0);
-        b.step(&mut q, &[0.3, 0.4]);
+        assert_eq!(a.step(&mut p, &mut [&mut [1.0, 4.5], &mut [2.0, -0.5]]), 5.0, "the norm of the sum");
+        b.step(&mut q, &mut [&mut [0.3, 0.4]]);
         assert!(p.iter().zip(&q).all(|(x, y)| (x - y).abs() < 1e-8));
     }
 }

@@ -60,7 +60,7 @@ mod tests {
     use candle_core::{Device, Tensor};
     use proptest::prelude::*;
 
-    use crate::nn::graph::{Graph, Slot, declare_dense};
+    use crate::nn::graph::{Graph, Slot, Weights, declare_dense};
     use crate::nn::params::{Init, ParamLayout, Params};
     use crate::seed::{Rng, SeedTree};
 
@@ -102,16 +102,16 @@ mod tests {
         let mut layout = ParamLayout::new();
         let (graph, [so, sa], out) = everything(&mut layout, obs, act, h, d, k);
         let mut params = Params::init(layout, &mut rng).unwrap();
-        let mut ws = graph.workspace(batch + 3);
+        let n = params.layout().trainable_len();
+        let (mut ws, mut packed) = (graph.workspace(batch + 3, n), graph.packed());
+        graph.refresh(&params, &mut packed, true);
         let (x, a, c) = (random(&mut rng, batch * obs), random(&mut rng, batch * act), random(&mut rng, batch * 3));
         ws.value_mut(so)[..x.len()].copy_from_slice(&x);
         ws.value_mut(sa)[..a.len()].copy_from_slice(&a);
-        let n = params.layout().trainable_len();
-        let mut grads = vec![0.0; params.layout().len()];
-        params.with(|p| graph.forward(p, &mut ws, batch, true));
-        graph.zero_grad(&mut ws);
+        params.with(|p| graph.forward(Weights { flat: p, packed: &packed }, &mut ws, batch, true));
         ws.grad_mut(out)[..c.len()].copy_from_slice(&c);
-        params.with(|p| graph.backward(p, &mut ws, &mut grads));
+        params.with(|p| graph.backward(Weights { flat: p, packed: &packed }, &mut ws));
+        let mut grads = ws.gradient().to_vec();
 
         let tensor = |v: &[f32], w: usize| Tensor::from_slice(v, (batch, w), &Device::Cpu).unwrap();
         let values = graph.oracle(&params, &ws, &[(so, tensor(&x, obs)), (sa, tensor(&a, act))]).unwrap();
@@ -121,7 +121,35 @@ mod tests {
         let store = loss.backward().unwrap();
         let expected: Vec<f32> = store.get(params.var()).unwrap().to_vec1().unwrap();
         close("gradient", &grads[..n], &expected[..n]);
-        params.with_mut(|p| graph.update_running_statistics(p, &ws));
+
+        // The same in two parts.
+        let first = batch / 2 + 1;
+        let rows = [0..first, first..batch];
+        let mut parts = [graph.workspace(first, n), graph.workspace(first, n)];
+        for (part, rows) in parts.iter_mut().zip(&rows) {
+            for (slot, values) in [(so, &x), (sa, &a)] {
+                let w = values.len() / batch;
+                part.value_mut(slot)[..rows.len() * w].copy_from_slice(&values[rows.start * w..rows.end * w]);
+            }
+        }
+        params.with(|p| {
+            let weights = Weights { flat: p, packed: &packed };
+            graph.forward_parts(weights, &mut parts, &rows);
+            for (part, rows) in parts.iter_mut().zip(&rows).filter(|(_, rows)| !rows.is_empty()) {
+                part.grad_mut(out)[..rows.len() * 3].copy_from_slice(&c[rows.start * 3..rows.end * 3]);
+            }
+            graph.backward_parts(weights, &mut parts, &rows);
+        });
+        let whole: Vec<f32> = values[out.0].flatten_all().unwrap().to_vec1().unwrap();
+        let used = parts.iter().zip(&rows).filter(|(_, rows)| !rows.is_empty());
+        let joined: Vec<f32> = used.clone().flat_map(|(p, rows)| p.value(out)[..rows.len() * 3].to_vec()).collect();
+        close("output in parts", &joined, &whole);
+        grads.fill(0.0);
+        for (part, _) in used {
+            grads.iter_mut().zip(part.gradient()).for_each(|(g, p)| *g += p);
+        }
+        close("gradient in parts", &grads[..n], &expected[..n]);
+        params.with_mut(|p| graph.update_running_statistics(p, &ws, batch));
     }
 
     /// Relative to the largest entry, as the issue states it: 1e-5.

@@ -6,10 +6,13 @@
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use candle_core::{CpuStorage, Device, InplaceOp1, Layout, Storage, Tensor, Var};
 use rand::RngExt as _;
 
+use super::parallel::{halves, join};
+use super::vector::vectorised;
 use crate::seed::Rng;
 
 /// How a part starts.
@@ -107,17 +110,16 @@ impl ParamLayout {
 pub struct Params {
     layout: ParamLayout,
     var: Var,
+    version: u64,
 }
 
-struct Borrow<'f, R> {
-    run: RefCell<Option<Access<'f, R>>>,
+/// What is done with the borrowed numbers, and what came of it.
+struct Borrow<F, R> {
+    run: RefCell<Option<F>>,
     out: RefCell<Option<R>>,
 }
 
-/// What is done with the borrowed numbers.
-type Access<'f, R> = Box<dyn FnOnce(&mut [f32]) -> R + 'f>;
-
-impl<R> InplaceOp1 for Borrow<'_, R> {
+impl<R, F: FnOnce(&mut [f32]) -> R> InplaceOp1 for Borrow<F, R> {
     fn name(&self) -> &'static str {
         "borrow-parameters"
     }
@@ -129,6 +131,12 @@ impl<R> InplaceOp1 for Borrow<'_, R> {
         }
         Ok(())
     }
+}
+
+/// A number never given before in this process.
+fn next_version() -> u64 {
+    static LAST: AtomicU64 = AtomicU64::new(0);
+    LAST.fetch_add(1, Ordering::Relaxed)
 }
 
 impl Params {
@@ -153,7 +161,11 @@ impl Params {
             }
         }
         let len = flat.len();
-        Ok(Self { layout, var: Var::from_tensor(&Tensor::from_vec(flat, len, &Device::Cpu)?)? })
+        Ok(Self {
+            layout,
+            var: Var::from_tensor(&Tensor::from_vec(flat, len, &Device::Cpu)?)?,
+            version: next_version(),
+        })
     }
 
     /// A second copy with its own storage (target network).
@@ -161,12 +173,18 @@ impl Params {
     /// # Errors
     /// Where candle cannot copy the tensor.
     pub fn duplicate(&self) -> candle_core::Result<Self> {
-        Ok(Self { layout: self.layout.clone(), var: Var::from_tensor(&self.var.as_tensor().copy()?)? })
+        let var = Var::from_tensor(&self.var.as_tensor().copy()?)?;
+        Ok(Self { layout: self.layout.clone(), var, version: next_version() })
     }
 
     /// Names and places.
     pub fn layout(&self) -> &ParamLayout {
         &self.layout
+    }
+
+    /// A number that changes whenever the parameters do, and that no other parameters have: for what is derived from them.
+    pub fn version(&self) -> u64 {
+        self.version
     }
 
     /// The flat variable (for the autograd oracle).
@@ -199,7 +217,8 @@ impl Params {
     /// # Panics
     /// Never on the CPU device.
     pub fn with_mut<R>(&mut self, write: impl FnOnce(&mut [f32]) -> R) -> R {
-        let op = Borrow { run: RefCell::new(Some(Box::new(write))), out: RefCell::new(None) };
+        self.version = next_version();
+        let op = Borrow { run: RefCell::new(Some(write)), out: RefCell::new(None) };
         self.var.as_tensor().inplace_op1(&op).expect("parameters live on the CPU as f32");
         op.out.into_inner().expect("the operation ran")
     }
@@ -221,7 +240,14 @@ impl Params {
     /// Moves towards `other`: `self += tau (other - self)` (Polyak target update).
     pub fn approach(&mut self, other: &Self, tau: f32) {
         other.with(|from| {
-            self.with_mut(|to| to.iter_mut().zip(from).for_each(|(t, &f)| *t += tau * (f - *t)));
+            self.with_mut(|to| {
+                let middle = halves(to.len());
+                let ((to_a, to_b), (from_a, from_b)) = (to.split_at_mut(middle), from.split_at(middle));
+                let half = |to: &mut [f32], from: &[f32]| {
+                    vectorised(|()| to.iter_mut().zip(from).for_each(|(t, &f)| *t += tau * (f - *t)), ());
+                };
+                join(|| half(to_a, from_a), || half(to_b, from_b));
+            });
         });
     }
 

@@ -2,6 +2,7 @@
 
 mod nstep;
 mod ring;
+mod states;
 
 pub use nstep::{NStep, Transition};
 pub use ring::{ActionBuffer, RL_COLUMNS, RlBatch, RlBuffer};

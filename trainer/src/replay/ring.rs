@@ -3,6 +3,7 @@
 use rand::RngExt as _;
 
 use super::nstep::Transition;
+use super::states::States;
 use crate::seed::Rng;
 
 /// Rows of fixed width that overwrite the oldest once full.
@@ -13,9 +14,13 @@ struct Rows {
 }
 
 impl Rows {
-    fn write(&mut self, at: usize, row: &[f32]) {
+    /// Writes row `at` of at most `capacity`.
+    fn write(&mut self, at: usize, row: &[f32], capacity: usize) {
         debug_assert_eq!(row.len(), self.width);
         if at * self.width == self.data.len() {
+            if self.data.capacity() - self.data.len() < row.len() {
+                self.data.reserve_exact(more(at, capacity) * self.width);
+            }
             self.data.extend_from_slice(row);
         } else {
             self.data[at * self.width..(at + 1) * self.width].copy_from_slice(row);
@@ -28,6 +33,12 @@ impl Rows {
             out.extend_from_slice(&self.data[i * self.width..(i + 1) * self.width]);
         }
     }
+}
+
+/// Rows to make room for when `len` of at most `capacity` are held. All of a common capacity at once: pages that are not written
+/// take no memory, and a vector that grows leaves holes behind. Beyond that an eighth more.
+fn more(len: usize, capacity: usize) -> usize {
+    if len == 0 { capacity.min(1 << 20) } else { (len / 8).max(1024).min(capacity - len) }
 }
 
 /// Where the next row goes.
@@ -82,8 +93,8 @@ impl ActionBuffer {
     /// Adds a pair.
     pub fn push(&mut self, obs: &[f32], action: &[f32]) {
         let at = self.cursor.advance();
-        self.obs.write(at, obs);
-        self.actions.write(at, action);
+        self.obs.write(at, obs, self.cursor.capacity);
+        self.actions.write(at, action, self.cursor.capacity);
     }
 
     /// Draws `n` pairs into `obs` (`n x obs_dim`) and `actions` (`n x slots`).
@@ -130,11 +141,15 @@ pub struct RlBatch {
     pub next_obs: Vec<f32>,
 }
 
-/// D_RL: n-step transitions for the Q-network.
+/// D_RL: n-step transitions for the Q-network. An observation that two transitions share is held once.
 #[derive(Clone, Debug)]
 pub struct RlBuffer {
     cursor: Cursor,
-    columns: [Rows; 6],
+    states: States,
+    /// Per transition: rows of its observation and of its successor.
+    rows: Vec<[u32; 2]>,
+    /// Actions, codes, returns, bootstrap weights.
+    columns: [Rows; 4],
     indices: Vec<usize>,
 }
 
@@ -144,8 +159,9 @@ pub const RL_COLUMNS: [&str; 6] = ["obs", "actions", "codes", "returns", "bootst
 impl RlBuffer {
     /// An empty buffer.
     pub fn new(capacity: usize, obs_dim: usize, slots: usize) -> Self {
-        let columns = [obs_dim, slots, 1, 1, 1, obs_dim].map(|width| Rows { width, data: Vec::new() });
-        Self { cursor: Cursor { capacity: capacity.max(1), len: 0, next: 0 }, columns, indices: Vec::new() }
+        let columns = [slots, 1, 1, 1].map(|width| Rows { width, data: Vec::new() });
+        let cursor = Cursor { capacity: capacity.max(1), len: 0, next: 0 };
+        Self { cursor, states: States::new(obs_dim), rows: Vec::new(), columns, indices: Vec::new() }
     }
 
     /// Transitions held.
@@ -158,17 +174,30 @@ impl RlBuffer {
         self.len() == 0
     }
 
-    /// Memory held for rows, bytes.
+    /// Memory held for transitions, bytes.
     pub fn bytes(&self) -> usize {
-        self.columns.iter().map(|c| c.data.capacity() * size_of::<f32>()).sum()
+        let columns: usize = self.columns.iter().map(|c| c.data.capacity()).sum();
+        self.states.bytes() + 8 * self.rows.capacity() + 4 * columns
     }
 
     /// Adds a transition.
     pub fn push(&mut self, t: &Transition) {
+        self.put([&t.obs, &t.action, &[t.code as f32], &[t.ret], &[t.bootstrap], &t.next_obs]);
+    }
+
+    fn put(&mut self, [obs, action, code, ret, bootstrap, next_obs]: [&[f32]; 6]) {
         let at = self.cursor.advance();
-        let values: [&[f32]; 6] = [&t.obs, &t.action, &[t.code as f32], &[t.ret], &[t.bootstrap], &t.next_obs];
-        for (column, row) in self.columns.iter_mut().zip(values) {
-            column.write(at, row);
+        if let Some(&old) = self.rows.get(at) {
+            old.into_iter().for_each(|row| self.states.release(row));
+        } else {
+            if self.rows.capacity() == at {
+                self.rows.reserve_exact(more(at, self.cursor.capacity));
+            }
+            self.rows.push([0; 2]);
+        }
+        self.rows[at] = [self.states.hold(obs), self.states.hold(next_obs)];
+        for (column, row) in self.columns.iter_mut().zip([action, code, ret, bootstrap]) {
+            column.write(at, row, self.cursor.capacity);
         }
     }
 
@@ -176,28 +205,59 @@ impl RlBuffer {
     pub fn sample(&mut self, n: usize, rng: &mut Rng, batch: &mut RlBatch) {
         self.cursor.draw(n, rng, &mut self.indices);
         let RlBatch { obs, actions, codes, returns, bootstrap, next_obs } = batch;
-        for (column, out) in self.columns.iter().zip([obs, actions, codes, returns, bootstrap, next_obs]) {
+        obs.clear();
+        next_obs.clear();
+        for &i in &self.indices {
+            let [start, end] = self.rows[i];
+            obs.extend_from_slice(self.states.row(start));
+            next_obs.extend_from_slice(self.states.row(end));
+        }
+        for (column, out) in self.columns.iter().zip([actions, codes, returns, bootstrap]) {
             column.gather(&self.indices, out);
         }
     }
 
+    /// Index of the transition that is overwritten next; the oldest one, once the buffer is full.
+    pub fn next(&self) -> usize {
+        self.cursor.next
+    }
+
+    /// Observation of transition `i`.
+    pub fn obs(&self, i: usize) -> &[f32] {
+        self.states.row(self.rows[i][0])
+    }
+
     /// Arrays for a checkpoint: next index and the columns in order of [`RL_COLUMNS`].
-    pub fn arrays(&self) -> (usize, [&[f32]; 6]) {
-        (self.cursor.next, [0, 1, 2, 3, 4, 5].map(|i| self.columns[i].data.as_slice()))
+    pub fn arrays(&self) -> (usize, [Vec<f32>; 6]) {
+        let observations =
+            |end: usize| self.rows.iter().flat_map(|rows| self.states.row(rows[end])).copied().collect::<Vec<f32>>();
+        let [actions, codes, returns, bootstrap] = [0, 1, 2, 3].map(|i| self.columns[i].data.clone());
+        (self.cursor.next, [observations(0), actions, codes, returns, bootstrap, observations(1)])
     }
 
     /// Takes arrays back. False where their lengths do not fit.
     #[must_use]
     pub fn restore(&mut self, next: usize, columns: [Vec<f32>; 6]) -> bool {
         let len = columns[2].len();
-        let fits = self.columns.iter().zip(&columns).all(|(c, data)| data.len() == len * c.width)
+        let slots = self.columns[0].width;
+        let widths = [self.states.width(), slots, 1, 1, 1, self.states.width()];
+        let fits = columns.iter().zip(widths).all(|(data, width)| data.len() == len * width)
             && len <= self.cursor.capacity
             && (next == len % self.cursor.capacity || len == self.cursor.capacity && next < len);
         if fits {
-            (self.cursor.len, self.cursor.next) = (len, next);
-            for (column, data) in self.columns.iter_mut().zip(columns) {
-                column.data = data;
+            *self = Self::new(self.cursor.capacity, self.states.width(), slots);
+            // In order of time, so that shared observations lie as close together as when they came.
+            let oldest = if len == self.cursor.capacity { next } else { 0 };
+            self.rows = vec![[0; 2]; len];
+            for (column, data) in self.columns.iter_mut().zip(&columns[1..5]) {
+                column.data.clone_from(data);
             }
+            let width = self.states.width();
+            for i in (oldest..len).chain(0..oldest) {
+                let row = |data: &[f32]| data[i * width..(i + 1) * width].to_vec();
+                self.rows[i] = [self.states.hold(&row(&columns[0])), self.states.hold(&row(&columns[5]))];
+            }
+            (self.cursor.len, self.cursor.next) = (len, next);
         }
         fits
     }
@@ -239,5 +299,63 @@ mod tests {
         a.push(&[9.0], &[0.0]);
         b.push(&[9.0], &[0.0]);
         assert_eq!(a.arrays(), b.arrays());
+    }
+
+    /// Transitions of two environments in turn, n = 2, episodes of five steps.
+    fn pushed(capacity: usize, steps: usize) -> (RlBuffer, Vec<Transition>) {
+        let (mut buffer, mut all) = (RlBuffer::new(capacity, 3, 2), Vec::new());
+        let mut nsteps = vec![crate::replay::NStep::new(2, 0.5); 2];
+        for step in 0..steps {
+            for (env, nstep) in nsteps.iter_mut().enumerate() {
+                let at = |t: usize, end: bool| [t as f32, env as f32, f32::from(u8::from(end))];
+                let end = step % 5 == 4;
+                nstep.push(&at(step, false), &[0.25, step as f32], 3, 1.0, &at(step + 1, end), end, false, |t| {
+                    buffer.push(&t);
+                    all.push(t);
+                });
+            }
+        }
+        (buffer, all)
+    }
+
+    #[test]
+    fn transitions_come_back_as_they_were_and_share_observations() {
+        let (mut buffer, all) = pushed(40, 100);
+        let kept = &all[all.len() - 40..];
+        let (next, columns) = buffer.arrays();
+        for (i, t) in kept.iter().enumerate() {
+            let at = (next + i) % 40;
+            assert_eq!(columns[0][3 * at..3 * at + 3], t.obs);
+            assert_eq!(columns[5][3 * at..3 * at + 3], t.next_obs);
+            assert_eq!((columns[1][2 * at + 1], columns[3][at], columns[4][at]), (t.action[1], t.ret, t.bootstrap));
+            assert_eq!(buffer.obs(at), t.obs);
+        }
+        // 40 starts, and 2 observations per episode that no transition starts from (8 ends), 4 pending ones.
+        let used: std::collections::HashSet<u32> = buffer.rows.iter().flatten().copied().collect();
+        assert!(used.len() <= 40 + 8 + 4, "{}", used.len());
+        let mut batch = RlBatch::default();
+        buffer.sample(64, &mut SeedTree::new(1).stream("s"), &mut batch);
+        for (o, n) in batch.obs.chunks(3).zip(batch.next_obs.chunks(3)) {
+            assert!(kept.iter().any(|t| t.obs == o && t.next_obs == n));
+        }
+    }
+
+    #[test]
+    fn a_restored_buffer_of_transitions_continues_alike() {
+        for steps in [10, 100] {
+            let (mut a, _) = pushed(40, steps);
+            let (next, columns) = a.arrays();
+            let mut b = RlBuffer::new(40, 3, 2);
+            assert!(b.restore(next, columns.clone()));
+            let (_, more) = pushed(40, 130);
+            for t in &more {
+                a.push(t);
+                b.push(t);
+            }
+            assert_eq!(a.arrays(), b.arrays());
+            let mut short = columns;
+            short[5].pop();
+            assert!(!b.restore(next, short));
+        }
     }
 }

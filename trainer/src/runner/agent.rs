@@ -1,10 +1,11 @@
 //! The learner as a whole: action model, confidence predictor and Q-network, and how they choose an action.
 
 use crate::action_space::ActionSpace;
-use crate::algo::dqn::{Dqn, masked_argmax};
+use crate::algo::dqn::{Dqn, DqnMetrics, masked_argmax};
 use crate::config::TrainConfig;
 use crate::discretizer::gadm::{ActionModel, Confidence};
 use crate::error::TrainError;
+use crate::replay::RlBatch;
 use crate::seed::SeedTree;
 use gadm_envs::EnvSpec;
 
@@ -77,6 +78,12 @@ impl Agent {
             self.mask_statistics.2 += self.allowed.iter().filter(|a| **a).count() as u64;
         }
         &self.allowed
+    }
+
+    /// One update of the Q-network on a batch and its latents, with the masks of the successors.
+    pub fn update_q(&mut self, batch: &RlBatch, codes: &[u32]) -> DqnMetrics {
+        self.masks(&batch.next_obs, codes.len());
+        self.dqn.update(batch, codes, &self.allowed)
     }
 
     /// Greedy latents of `batch` observations.

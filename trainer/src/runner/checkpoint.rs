@@ -122,7 +122,6 @@ impl<'a> Arrays<'a> {
         if let Some(confidence) = &mut agent.confidence {
             self.load_params("confidence", &mut confidence.params)?;
         }
-        agent.dqn.invalidate();
         Ok(())
     }
 
@@ -224,6 +223,7 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), TrainError> {
 /// # Errors
 /// [`TrainError::Checkpoint`] with the cause; the old file is then untouched.
 pub fn save(run: &Run, dir: &Path) -> Result<(), TrainError> {
+    let (rl_next, columns) = run.d_rl.arrays();
     let mut arrays = Arrays::default();
     let agent = &run.agent;
     arrays.networks(agent);
@@ -236,8 +236,7 @@ pub fn save(run: &Run, dir: &Path) -> Result<(), TrainError> {
     let (ar_next, obs, actions) = run.d_ar.arrays();
     arrays.flat("d_ar/obs", obs);
     arrays.flat("d_ar/actions", actions);
-    let (rl_next, columns) = run.d_rl.arrays();
-    for (name, values) in RL_COLUMNS.iter().zip(columns) {
+    for (name, values) in RL_COLUMNS.iter().zip(&columns) {
         arrays.flat(format!("d_rl/{name}"), values);
     }
     let state = RunState {
@@ -343,18 +342,17 @@ pub fn save_best(run: &Run, dir: &Path) -> Result<(), TrainError> {
 
 /// Up to 8,192 observations, evenly spread over the newest half of D_RL (or D_AR before there is any).
 fn calibration(run: &Run) -> Vec<f32> {
-    let (rl_next, columns) = run.d_rl.arrays();
     let (ar_next, pairs, _) = run.d_ar.arrays();
-    let (next, obs) = if columns[0].is_empty() { (ar_next, pairs) } else { (rl_next, columns[0]) };
-    let width = run.envs.spec().obs_dim();
-    let rows = obs.len() / width;
+    let (width, filled) = (run.envs.spec().obs_dim(), !run.d_rl.is_empty());
+    let (next, rows) = if filled { (run.d_rl.next(), run.d_rl.len()) } else { (ar_next, pairs.len() / width) };
+    let obs = |row: usize| if filled { run.d_rl.obs(row) } else { &pairs[row * width..(row + 1) * width] };
     let newest = rows - rows / 2;
     let take = newest.min(CALIBRATION_ROWS);
     (0..take)
         .flat_map(|i| {
             // A full buffer's oldest row is the one that is overwritten next.
             let row = (next + rows - newest + i * newest / take) % rows;
-            obs[row * width..(row + 1) * width].iter().copied()
+            obs(row).iter().copied()
         })
         .collect()
 }

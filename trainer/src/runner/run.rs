@@ -495,8 +495,7 @@ impl Run {
             codes.clear();
             codes.extend(self.batch.codes.iter().map(|&c| c as u32));
         }
-        let allowed = self.agent.masks(&self.batch.next_obs, n).to_vec();
-        let m = self.agent.dqn.update(&self.batch, &codes, &allowed);
+        let m = self.agent.update_q(&self.batch, &codes);
         self.codes = codes;
         if !m.loss.is_finite() {
             return Err(self.bad_transitions("Q loss"));

@@ -7,8 +7,12 @@
 
 use std::ops::Range;
 
-use crate::nn::gemm::{matmul_nn, matmul_nt, matmul_tn_add};
-use crate::nn::{Init, ParamLayout};
+use crate::nn::graph::OuterLayer;
+use crate::nn::kernel::{
+    Epilogue, Left, Product, groups_len, pack_groups, pack_panels, pack_panels_transposed, panels_len, product,
+};
+use crate::nn::vector::{add_scaled, dot, vectorised};
+use crate::nn::{Init, ParamLayout, Params};
 
 /// Places and sizes of the heads' parameters.
 #[derive(Clone, Debug)]
@@ -24,29 +28,51 @@ pub struct Heads {
     bv: Range<usize>,
 }
 
-/// Averages of the advantage weights, made once per parameter change.
+/// What is derived from the parameters once per change of them: averages, and weights as the products read them.
 #[derive(Clone, Debug, Default)]
-pub struct Averages {
-    /// Mean over heads, `K x width` and `K`.
+pub struct Derived {
+    version: Option<u64>,
+    /// Advantage weights and biases: mean over heads, `K x width` and `K`.
     per_latent: (Vec<f32>, Vec<f32>),
-    /// Value minus mean-over-latents advantage: mean over latents, `E x width` and `E`.
-    per_head: (Vec<f32>, Vec<f32>),
+    /// Minus the mean over latents, `E x width`.
+    minus_mean: Vec<f32>,
+    /// Value bias minus the mean over latents of the advantage biases, `E`.
+    bias: Vec<f32>,
+    /// `per_latent`, for the forward product.
+    latent_panels: Vec<f32>,
+    /// `minus_mean`, for the forward and for the backward product.
+    mean_panels: (Vec<f32>, Vec<f32>),
+    /// Value weights, for the forward and for the backward product.
+    value_panels: (Vec<f32>, Vec<f32>),
 }
 
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let mut lanes = [0.0_f32; 8];
-    let (ca, cb) = (a.chunks_exact(8), b.chunks_exact(8));
-    let rest: f32 = ca.remainder().iter().zip(cb.remainder()).map(|(x, y)| x * y).sum();
-    for (x, y) in ca.zip(cb) {
-        for ((l, x), y) in lanes.iter_mut().zip(x).zip(y) {
-            *l += x * y;
+/// Work memory of the heads for some rows.
+#[derive(Clone, Debug)]
+pub struct HeadScratch {
+    /// Rows in order of their codes, so that the weights of a code are read once.
+    order: Vec<u32>,
+    starts: Vec<u32>,
+    left: Vec<f32>,
+    right: Vec<f32>,
+    mean: (Vec<f32>, Vec<f32>),
+}
+
+impl HeadScratch {
+    /// Sorts the rows by code (counting sort; equal codes keep their order).
+    fn sort(&mut self, codes: &[u32]) {
+        self.starts.fill(0);
+        for &code in codes {
+            self.starts[code as usize + 1] += 1;
+        }
+        for i in 1..self.starts.len() {
+            self.starts[i] += self.starts[i - 1];
+        }
+        for (row, &code) in codes.iter().enumerate() {
+            let at = &mut self.starts[code as usize];
+            self.order[*at as usize] = row as u32;
+            *at += 1;
         }
     }
-    lanes.iter().sum::<f32>() + rest
-}
-
-fn add_scaled(to: &mut [f32], from: &[f32], scale: f32) {
-    to.iter_mut().zip(from).for_each(|(t, f)| *t += scale * f);
 }
 
 impl Heads {
@@ -65,8 +91,44 @@ impl Heads {
         }
     }
 
-    /// Averages the weights.
-    pub fn average(&self, p: &[f32], out: &mut Averages) {
+    /// Work memory for up to `batch` rows.
+    pub fn scratch(&self, batch: usize) -> HeadScratch {
+        let (e, w) = (self.heads, self.width);
+        HeadScratch {
+            order: vec![0; batch],
+            starts: vec![0; self.latents + 1],
+            left: vec![0.0; if self.dueling { groups_len(e, batch) } else { 0 }],
+            right: vec![0.0; if self.dueling { panels_len(batch, w) } else { 0 }],
+            mean: (vec![0.0; e * w], vec![0.0; e]),
+        }
+    }
+
+    /// Brings `derived` up to date with `params`.
+    pub fn refresh(&self, params: &Params, derived: &mut Derived) {
+        if derived.version == Some(params.version()) {
+            return;
+        }
+        derived.version = Some(params.version());
+        let (k, e, w) = (self.latents, self.heads, self.width);
+        params.with(|p| {
+            self.average(p, derived);
+            let Derived { per_latent, minus_mean, latent_panels, mean_panels, value_panels, .. } = derived;
+            latent_panels.resize(panels_len(w, k), 0.0);
+            pack_panels_transposed(&per_latent.0, w, k, latent_panels);
+            if self.dueling {
+                for ((forward, backward), weights) in
+                    [(mean_panels, minus_mean.as_slice()), (value_panels, &p[self.wv.clone()])]
+                {
+                    forward.resize(panels_len(w, e), 0.0);
+                    backward.resize(panels_len(e, w), 0.0);
+                    pack_panels_transposed(weights, w, e, forward);
+                    pack_panels(weights, e, w, backward);
+                }
+            }
+        });
+    }
+
+    fn average(&self, p: &[f32], out: &mut Derived) {
         let (k, e, w) = (self.latents, self.heads, self.width);
         let (wa, ba) = (&p[self.wa.clone()], &p[self.ba.clone()]);
         let reset = |v: &mut Vec<f32>, n| {
@@ -75,105 +137,166 @@ impl Heads {
         };
         reset(&mut out.per_latent.0, k * w);
         reset(&mut out.per_latent.1, k);
-        reset(&mut out.per_head.0, e * w);
-        reset(&mut out.per_head.1, e);
-        for row in 0..k * e {
-            let (latent, head, weights) = (row / e, row % e, &wa[row * w..(row + 1) * w]);
-            add_scaled(&mut out.per_latent.0[latent * w..(latent + 1) * w], weights, 1.0 / e as f32);
-            out.per_latent.1[latent] += ba[row] / e as f32;
+        reset(&mut out.minus_mean, e * w);
+        reset(&mut out.bias, e);
+        if self.dueling {
+            out.bias.copy_from_slice(&p[self.bv.clone()]);
+        }
+        let Derived { per_latent, minus_mean, bias, .. } = out;
+        for (latent, (weights, biases)) in wa.chunks_exact(e * w).zip(ba.chunks_exact(e)).enumerate() {
+            let mean = &mut per_latent.0[latent * w..(latent + 1) * w];
+            for (row, b) in weights.chunks_exact(w).zip(biases) {
+                vectorised(|mean| add_scaled(mean, row, 1.0 / e as f32), &mut *mean);
+                per_latent.1[latent] += b / e as f32;
+            }
             if self.dueling {
-                add_scaled(&mut out.per_head.0[head * w..(head + 1) * w], weights, 1.0 / k as f32);
-                out.per_head.1[head] += ba[row] / k as f32;
+                vectorised(|to| add_scaled(to, weights, -1.0 / k as f32), &mut minus_mean[..]);
+                add_scaled(bias, biases, -1.0 / k as f32);
             }
         }
     }
 
-    /// Mean over heads of every latent's advantage, `B x K`: orders latents as the mean Q does.
-    pub fn scores(&self, averages: &Averages, ha: &[f32], batch: usize, out: &mut Vec<f32>) {
-        out.resize(batch * self.latents, 0.0);
-        matmul_nt(batch, self.latents, self.width, ha, &averages.per_latent.0, out);
-        for row in out.chunks_exact_mut(self.latents) {
-            row.iter_mut().zip(&averages.per_latent.1).for_each(|(o, b)| *o += b);
-        }
+    /// Mean over heads of every latent's advantage into `out` (`B x K`): orders latents as the mean Q does.
+    pub fn scores(&self, derived: &Derived, ha: &[f32], batch: usize, out: &mut [f32]) {
+        product(Product {
+            m: batch,
+            n: self.latents,
+            k: self.width,
+            left: Left::Rows(ha),
+            right: &derived.latent_panels,
+            c: out,
+            end: Epilogue::Bias(&derived.per_latent.1, false),
+        });
     }
 
     /// Head-averaged advantage layer: `K x width` weights and `K` biases. What the device keeps of the heads.
-    pub fn folded(averages: &Averages) -> (Vec<f32>, Vec<f32>) {
-        averages.per_latent.clone()
+    pub fn folded(derived: &Derived) -> (Vec<f32>, Vec<f32>) {
+        derived.per_latent.clone()
     }
 
-    /// `Q[b, codes[b], e]` into `out` (`B x E`).
-    pub fn gather(&self, p: &[f32], averages: &Averages, ha: &[f32], hv: &[f32], codes: &[u32], out: &mut Vec<f32>) {
-        let (batch, e, w) = (codes.len(), self.heads, self.width);
-        out.clear();
-        out.resize(batch * e, 0.0);
-        if self.dueling {
-            let mut mean = vec![0.0; batch * e];
-            matmul_nt(batch, e, w, hv, &p[self.wv.clone()], out);
-            matmul_nt(batch, e, w, ha, &averages.per_head.0, &mut mean);
-            let bv = &p[self.bv.clone()];
-            for (o, m) in out.chunks_exact_mut(e).zip(mean.chunks_exact(e)) {
-                for (i, (o, m)) in o.iter_mut().zip(m).enumerate() {
-                    *o += bv[i] - m - averages.per_head.1[i];
-                }
-            }
-        }
-        let (wa, ba) = (&p[self.wa.clone()], &p[self.ba.clone()]);
-        for ((o, h), &code) in out.chunks_exact_mut(e).zip(ha.chunks_exact(w)).zip(codes) {
-            for (head, o) in o.iter_mut().enumerate() {
-                let row = code as usize * e + head;
-                *o += dot(&wa[row * w..(row + 1) * w], h) + ba[row];
-            }
-        }
-    }
-
-    /// Back-propagates `grad` (`B x E`, of the gathered Q values): parameter gradients are added to `grads`, stream gradients
-    /// to `dha` and `dhv` (zero at the start).
+    /// `Q[b, codes[b], e]` into `out` (`B x E`). Leaves the order of the codes in `scratch` for [`backward`](Self::backward).
     #[expect(clippy::too_many_arguments, reason = "the tensors of one layer")]
-    pub fn backward(
+    pub fn gather(
         &self,
         p: &[f32],
-        averages: &Averages,
+        derived: &Derived,
         ha: &[f32],
         hv: &[f32],
         codes: &[u32],
+        scratch: &mut HeadScratch,
+        out: &mut [f32],
+    ) {
+        let (batch, e, w) = (codes.len(), self.heads, self.width);
+        if self.dueling {
+            let layer = |left, right, c: &mut [f32], end| {
+                product(Product { m: batch, n: e, k: w, left: Left::Rows(left), right, c, end });
+            };
+            layer(hv, &derived.value_panels.0, &mut *out, Epilogue::Bias(&derived.bias, false));
+            layer(ha, &derived.mean_panels.0, &mut *out, Epilogue::Add);
+        } else {
+            out[..batch * e].fill(0.0);
+        }
+        scratch.sort(codes);
+        let (wa, ba) = (&p[self.wa.clone()], &p[self.ba.clone()]);
+        vectorised(gather_rows, (&scratch.order[..batch], codes, (e, w), ha, wa, ba, out));
+    }
+
+    /// Back-propagates `grad` (`B x E`, of the Q values that [`gather`](Self::gather) has just given): parameter gradients are
+    /// added, the gradients of both streams set. `layer.a` is the advantage stream, `layer.b` the value stream.
+    pub fn backward(
+        &self,
+        p: &[f32],
+        derived: &Derived,
+        codes: &[u32],
         grad: &[f32],
-        grads: &mut [f32],
-        dha: &mut [f32],
-        dhv: &mut [f32],
+        scratch: &mut HeadScratch,
+        layer: OuterLayer,
     ) {
         let (batch, k, e, w) = (codes.len(), self.latents, self.heads, self.width);
+        let OuterLayer { a: ha, b: hv, da, db, gradient } = layer;
         if self.dueling {
-            matmul_tn_add(e, w, batch, grad, hv, &mut grads[self.wv.clone()]);
-            for row in grad.chunks_exact(e) {
-                add_scaled(&mut grads[self.bv.clone()], row, 1.0);
-            }
-            matmul_nn(batch, w, e, grad, &p[self.wv.clone()], dhv, false);
-            // The mean over latents: -1/K of the head's gradient reaches every row of that head.
-            let (mut mean_w, mut mean_b) = (vec![0.0; e * w], vec![0.0; e]);
-            matmul_tn_add(e, w, batch, grad, ha, &mut mean_w);
-            for row in grad.chunks_exact(e) {
-                add_scaled(&mut mean_b, row, 1.0);
-            }
-            for row in 0..k * e {
-                let head = row % e;
-                let at = self.wa.start + row * w;
-                add_scaled(&mut grads[at..at + w], &mean_w[head * w..(head + 1) * w], -1.0 / k as f32);
-                grads[self.ba.start + row] -= mean_b[head] / k as f32;
-            }
-            matmul_nn(batch, w, e, grad, &averages.per_head.0, dha, false);
-            dha[..batch * w].iter_mut().for_each(|v| *v = -*v);
+            let HeadScratch { left, right, mean, .. } = scratch;
+            let weights = |left: &[f32], right: &[f32], c: &mut [f32], end| {
+                product(Product { m: e, n: w, k: batch, left: Left::Groups(left), right, c, end });
+            };
+            let inputs = |right: &[f32], c: &mut [f32]| {
+                let left = Left::Rows(grad);
+                product(Product { m: batch, n: w, k: e, left, right, c, end: Epilogue::Store });
+            };
+            pack_groups(&grad[..batch * e], e, batch, left);
+            pack_panels(&hv[..batch * w], batch, w, right);
+            weights(left, right, &mut gradient[self.wv.clone()], Epilogue::Add);
+            inputs(&derived.value_panels.1, db);
+            pack_panels(&ha[..batch * w], batch, w, right);
+            weights(left, right, &mut mean.0, Epilogue::Store);
+            inputs(&derived.mean_panels.1, da);
+            mean.1.fill(0.0);
+            vectorised(
+                |()| {
+                    for row in grad[..batch * e].chunks_exact(e) {
+                        add_scaled(&mut mean.1, row, 1.0);
+                    }
+                    add_scaled(&mut gradient[self.bv.clone()], &mean.1, 1.0);
+                    // The mean over latents: -1/K of the head's gradient reaches every row of that head.
+                    for block in gradient[self.wa.clone()].chunks_exact_mut(e * w) {
+                        add_scaled(block, &mean.0, -1.0 / k as f32);
+                    }
+                    for block in gradient[self.ba.clone()].chunks_exact_mut(e) {
+                        add_scaled(block, &mean.1, -1.0 / k as f32);
+                    }
+                },
+                (),
+            );
+        } else {
+            da[..batch * w].fill(0.0);
         }
         let wa = &p[self.wa.clone()];
-        let rows = ha.chunks_exact(w).zip(dha.chunks_exact_mut(w)).zip(grad.chunks_exact(e)).zip(codes);
-        for (((h, dh), g), &code) in rows {
-            for (head, &g) in g.iter().enumerate() {
-                let row = code as usize * e + head;
-                let at = self.wa.start + row * w;
-                add_scaled(&mut grads[at..at + w], h, g);
-                grads[self.ba.start + row] += g;
-                add_scaled(dh, &wa[row * w..(row + 1) * w], g);
-            }
+        let (advantage, rest) = gradient[self.wa.start..].split_at_mut(self.wa.len());
+        let bias = &mut rest[self.ba.start - self.wa.end..][..self.ba.len()];
+        vectorised(backward_rows, (&scratch.order[..batch], codes, (e, w), ha, wa, grad, da, advantage, bias));
+    }
+}
+
+/// Adds `A[code, e]` of each row, in the order of the codes. `shape` is (E, width).
+#[inline(always)]
+#[expect(clippy::type_complexity, reason = "the arguments of a loop that is compiled for the vector unit")]
+fn gather_rows(
+    (order, codes, (e, w), ha, wa, ba, out): (&[u32], &[u32], (usize, usize), &[f32], &[f32], &[f32], &mut [f32]),
+) {
+    for &b in order {
+        let (b, first) = (b as usize, codes[b as usize] as usize * e);
+        let h = &ha[b * w..(b + 1) * w];
+        let rows = wa[first * w..(first + e) * w].chunks_exact(w).zip(&ba[first..first + e]);
+        for (o, (row, bias)) in out[b * e..(b + 1) * e].iter_mut().zip(rows) {
+            *o += dot(row, h) + bias;
         }
+    }
+}
+
+/// Adds the gradients of the rows that [`gather_rows`] read and of the stream, in the order of the codes.
+#[inline(always)]
+#[expect(clippy::type_complexity, reason = "as above")]
+fn backward_rows(
+    (order, codes, (e, w), ha, wa, grad, dha, dwa, dba): (
+        &[u32],
+        &[u32],
+        (usize, usize),
+        &[f32],
+        &[f32],
+        &[f32],
+        &mut [f32],
+        &mut [f32],
+        &mut [f32],
+    ),
+) {
+    for &b in order {
+        let (b, first) = (b as usize, codes[b as usize] as usize * e);
+        let (h, dh, g) = (&ha[b * w..(b + 1) * w], &mut dha[b * w..(b + 1) * w], &grad[b * e..(b + 1) * e]);
+        let rows = dwa[first * w..(first + e) * w].chunks_exact_mut(w).zip(wa[first * w..].chunks_exact(w));
+        for (&g, (to, row)) in g.iter().zip(rows) {
+            add_scaled(to, h, g);
+            add_scaled(dh, row, g);
+        }
+        add_scaled(&mut dba[first..first + e], g, 1.0);
     }
 }

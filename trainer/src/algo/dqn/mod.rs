@@ -6,10 +6,11 @@ mod head;
 pub use config::{DqnConfig, TargetUpdate};
 
 use crate::error::TrainError;
-use crate::nn::{Adam, DenseParams, Graph, Init, ParamLayout, Params, Slot, Workspace, declare_dense};
+use crate::nn::parallel::{PARTS, each, join, part_rows, split};
+use crate::nn::{Adam, DenseParams, Graph, Init, Packed, ParamLayout, Params, Slot, Weights, Workspace, declare_dense};
 use crate::replay::RlBatch;
 use crate::seed::Rng;
-use head::{Averages, Heads};
+use head::{Derived, HeadScratch, Heads};
 
 /// The largest of the allowed `scores`; ties go to the lowest latent. `allowed` empty means all.
 pub fn masked_argmax(scores: &[f32], allowed: &[bool]) -> usize {
@@ -33,9 +34,29 @@ pub struct DqnMetrics {
     pub grad_norm: f32,
 }
 
+/// Weights of one network as the products read them.
+struct Ready {
+    packed: Packed,
+    heads: Derived,
+}
+
+/// Work memory for some rows of a batch.
+struct Part {
+    ws: Workspace,
+    ws_next: Workspace,
+    heads: HeadScratch,
+    scores: Vec<f32>,
+    q: Vec<f32>,
+    q_next: Vec<f32>,
+    codes_next: Vec<u32>,
+    loss: f32,
+    q_mean: f32,
+}
+
 /// Q-network, target network and optimiser.
 pub struct Dqn {
     config: DqnConfig,
+    obs_dim: usize,
     latents: usize,
     layers: Vec<DenseParams>,
     heads: Heads,
@@ -48,17 +69,11 @@ pub struct Dqn {
     graph: Graph,
     obs: Slot,
     advantage: Slot,
-    value: Slot,
-    ws: Workspace,
-    ws_next: Workspace,
-    averages: Averages,
-    averages_target: Averages,
-    averages_fresh: bool,
-    grads: Vec<f32>,
+    value: Option<Slot>,
+    online: Ready,
+    delayed: Ready,
+    parts: Vec<Part>,
     scores: Vec<f32>,
-    q: Vec<f32>,
-    q_next: Vec<f32>,
-    codes_next: Vec<u32>,
 }
 
 impl Dqn {
@@ -136,13 +151,31 @@ impl Dqn {
         let obs = graph.input(obs_dim);
         let trunk = layers.iter().fold(obs, |x, layer| graph.dense(x, layer, true));
         let advantage = advantage_stream.as_ref().map_or(trunk, |a| graph.dense(trunk, a, true));
-        let value = value_stream.map_or(advantage, |v| graph.dense(trunk, &v, true));
+        let value = value_stream.map(|v| graph.dense(trunk, &v, true));
         layers.extend(advantage_stream);
-        let adam = Adam::new(config.adam, params.layout().trainable_len());
-        let (ws, ws_next) = (graph.workspace(batch), graph.workspace(batch));
-        let grads = vec![0.0; params.layout().trainable_len()];
+        let trainable = params.layout().trainable_len();
+        let adam = Adam::new(config.adam, trainable);
+        let ready = || Ready { packed: graph.packed(), heads: Derived::default() };
+        let part = |_| {
+            let rows = part_rows(batch);
+            Part {
+                ws: graph.workspace(rows, trainable),
+                ws_next: graph.workspace(rows, 0),
+                heads: heads.scratch(rows),
+                scores: vec![0.0; rows * latents],
+                q: vec![0.0; rows * config.heads],
+                q_next: vec![0.0; rows * config.heads],
+                codes_next: Vec::with_capacity(rows),
+                loss: 0.0,
+                q_mean: 0.0,
+            }
+        };
+        let parts = (0..PARTS).map(part).collect();
+        let (online, delayed) = (ready(), ready());
+        let scores = vec![0.0; batch * latents];
         Ok(Self {
             config,
+            obs_dim,
             latents,
             layers,
             heads,
@@ -153,16 +186,10 @@ impl Dqn {
             obs,
             advantage,
             value,
-            ws,
-            ws_next,
-            averages: Averages::default(),
-            averages_target: Averages::default(),
-            averages_fresh: false,
-            grads,
-            scores: Vec::new(),
-            q: Vec::new(),
-            q_next: Vec::new(),
-            codes_next: Vec::new(),
+            online,
+            delayed,
+            parts,
+            scores,
         })
     }
 
@@ -174,89 +201,121 @@ impl Dqn {
     /// The plain network a device runs: trunk and advantage stream (ReLU after each), then head-averaged weights `K x width`
     /// and biases. The value stream and the mean over latents do not move the argmax.
     pub fn folded(&self) -> (&[DenseParams], Vec<f32>, Vec<f32>) {
-        let mut averages = Averages::default();
-        self.params.with(|p| self.heads.average(p, &mut averages));
-        let (w, b) = Heads::folded(&averages);
+        let mut derived = Derived::default();
+        self.heads.refresh(&self.params, &mut derived);
+        let (w, b) = Heads::folded(&derived);
         (&self.layers, w, b)
-    }
-
-    /// Call after changing parameters from outside (checkpoint).
-    pub fn invalidate(&mut self) {
-        self.averages_fresh = false;
     }
 
     /// Head-averaged advantages of `batch` observations, `B x K`.
     pub fn advantages(&mut self, obs: &[f32], batch: usize) -> &[f32] {
-        let Self { params, graph, heads, ws_next: ws, averages, averages_fresh, scores, .. } = self;
-        ws.value_mut(self.obs)[..obs.len()].copy_from_slice(obs);
+        let Self { params, graph, heads, online, parts, scores, obs_dim, latents, .. } = self;
+        online.refresh(graph, heads, params, true);
+        let (k, width, rows) = (*latents, *obs_dim, split(batch));
+        let (first, second) = scores.split_at_mut(rows[0].len() * k);
+        let [a, b] = &mut parts[..] else { unreachable!("two parts") };
         params.with(|p| {
-            if !std::mem::replace(averages_fresh, true) {
-                heads.average(p, averages);
-            }
-            graph.forward(p, ws, batch, false);
-            heads.scores(averages, ws.value(self.advantage), batch, scores);
+            let weights = Weights { flat: p, packed: &online.packed };
+            each(&mut [(a, first), (b, second)], &rows, |(part, scores), rows| {
+                let ws = &mut part.ws_next;
+                ws.value_mut(self.obs)[..rows.len() * width]
+                    .copy_from_slice(&obs[rows.start * width..rows.end * width]);
+                graph.forward(weights, ws, rows.len(), false);
+                heads.scores(&online.heads, ws.value(self.advantage), rows.len(), scores);
+            });
         });
-        &scores[..batch * self.latents]
+        &scores[..batch * k]
     }
 
     /// One gradient step. `codes` are the (remapped) latents of the batch's actions; `allowed` the masks of its next
     /// observations (`B x K`), empty for none.
     pub fn update(&mut self, batch: &RlBatch, codes: &[u32], allowed: &[bool]) -> DqnMetrics {
-        let n = codes.len();
-        let (k, e) = (self.latents, self.config.heads);
-        self.advantages(&batch.next_obs, n);
-        let Self {
-            params, target, graph, heads, ws, ws_next, averages, averages_target, grads, scores, q, q_next, ..
-        } = self;
-        self.codes_next.clear();
-        for (b, row) in scores.chunks_exact(k).enumerate() {
-            let allowed = if allowed.is_empty() { allowed } else { &allowed[b * k..(b + 1) * k] };
-            self.codes_next.push(masked_argmax(row, allowed) as u32);
-        }
-        target.with(|p| {
-            heads.average(p, averages_target);
-            graph.forward(p, ws_next, n, false);
-            let (ha, hv) = (ws_next.value(self.advantage), ws_next.value(self.value));
-            heads.gather(p, averages_target, ha, hv, &self.codes_next, q_next);
+        let Self { params, target, graph, heads, online, delayed, parts, obs_dim, latents, .. } = self;
+        let (n, width, k) = (codes.len(), *obs_dim, *latents);
+        let rows = split(n);
+        join(|| online.refresh(graph, heads, params, true), || delayed.refresh(graph, heads, target, false));
+        params.with(|p| {
+            target.with(|t| {
+                let weights = Weights { flat: p, packed: &online.packed };
+                let target_weights = Weights { flat: t, packed: &delayed.packed };
+                each(parts, &rows, |part, rows| {
+                    let Part { ws, ws_next, heads: scratch, scores, q, q_next, codes_next, loss, q_mean } = part;
+                    let m = rows.len();
+                    let numbers = rows.start * width..rows.end * width;
+                    ws_next.value_mut(self.obs)[..m * width].copy_from_slice(&batch.next_obs[numbers.clone()]);
+                    graph.forward(weights, ws_next, m, false);
+                    heads.scores(&online.heads, ws_next.value(self.advantage), m, scores);
+                    codes_next.clear();
+                    for (b, row) in rows.clone().zip(scores.chunks_exact(k)) {
+                        let allowed = if allowed.is_empty() { allowed } else { &allowed[b * k..(b + 1) * k] };
+                        codes_next.push(masked_argmax(row, allowed) as u32);
+                    }
+                    graph.forward(target_weights, ws_next, m, false);
+                    let ha = ws_next.value(self.advantage);
+                    let hv = self.value.map_or(&[][..], |value| ws_next.value(value));
+                    heads.gather(t, &delayed.heads, ha, hv, codes_next, scratch, q_next);
+
+                    ws.value_mut(self.obs)[..m * width].copy_from_slice(&batch.obs[numbers]);
+                    graph.forward(weights, ws, m, true);
+                    let codes = &codes[rows.clone()];
+                    let ha = ws.value(self.advantage);
+                    let hv = self.value.map_or(&[][..], |value| ws.value(value));
+                    heads.gather(p, &online.heads, ha, hv, codes, scratch, q);
+                    (*loss, *q_mean) = squared_error(batch, rows, n, q, q_next, self.config.heads);
+                    let layer = ws.outer_layer(self.advantage, self.value);
+                    heads.backward(p, &online.heads, codes, q, scratch, layer);
+                    graph.backward(weights, ws);
+                });
+            });
         });
-        ws.value_mut(self.obs)[..batch.obs.len()].copy_from_slice(&batch.obs);
-        grads.fill(0.0);
-        let (loss, q_mean) = params.with(|p| {
-            graph.forward(p, ws, n, true);
-            graph.zero_grad(ws);
-            heads.gather(p, averages, ws.value(self.advantage), ws.value(self.value), codes, q);
-            let (mut loss, mut q_mean) = (0.0, 0.0);
-            // q becomes the gradient 2 (Q - y) / B, in place.
-            for (b, (q, q_next)) in q.chunks_exact_mut(e).zip(q_next.chunks_exact(e)).enumerate() {
-                let least = q_next.iter().copied().fold(f32::INFINITY, f32::min);
-                let y = batch.returns[b] + batch.bootstrap[b] * least;
-                for q in q {
-                    let error = *q - y;
-                    loss += error * error / n as f32;
-                    q_mean += *q / (n * e) as f32;
-                    *q = 2.0 * error / n as f32;
-                }
-            }
-            let width = ws.value(self.advantage).len();
-            let (mut dha, mut dhv) = (vec![0.0; width], vec![0.0; width]);
-            let (ha, hv) = (ws.value(self.advantage), ws.value(self.value));
-            heads.backward(p, averages, ha, hv, codes, q, grads, &mut dha, &mut dhv);
-            ws.grad_mut(self.advantage).copy_from_slice(&dha);
-            if self.config.dueling {
-                ws.grad_mut(self.value).copy_from_slice(&dhv);
-            }
-            graph.backward(p, ws, grads);
-            (loss, q_mean)
+        let used = parts.iter_mut().zip(&rows).filter(|(_, rows)| !rows.is_empty()).map(|(part, _)| part);
+        let metrics = used.fold(DqnMetrics::default(), |sum, part| DqnMetrics {
+            loss: sum.loss + part.loss,
+            q_mean: sum.q_mean + part.q_mean,
+            grad_norm: 0.0,
         });
-        let grad_norm = params.with_mut(|p| self.adam.step(p, grads));
-        self.averages_fresh = false;
+        let [a, b] = &mut parts[..] else { unreachable!("two parts") };
+        let mut gradients = [a.ws.gradient_mut(), b.ws.gradient_mut()];
+        let gradients = if rows[1].is_empty() { &mut gradients[..1] } else { &mut gradients[..] };
+        let grad_norm = params.with_mut(|p| self.adam.step(p, gradients));
         match self.config.target {
             TargetUpdate::Hard { every } if self.adam.steps.is_multiple_of(every.max(1)) => target.copy_from(params),
             TargetUpdate::Hard { .. } => {}
             TargetUpdate::Soft { tau } => target.approach(params, tau as f32),
         }
-        DqnMetrics { loss, q_mean, grad_norm }
+        DqnMetrics { grad_norm, ..metrics }
     }
+}
+
+impl Ready {
+    fn refresh(&mut self, graph: &Graph, heads: &Heads, params: &Params, train: bool) {
+        graph.refresh(params, &mut self.packed, train);
+        heads.refresh(params, &mut self.heads);
+    }
+}
+
+/// Loss and mean Q of some rows of a batch of `n`, as their share of the batch's mean. `q` (`rows x heads`) becomes the
+/// gradient `2 (Q - y) / n`.
+fn squared_error(
+    batch: &RlBatch,
+    rows: std::ops::Range<usize>,
+    n: usize,
+    q: &mut [f32],
+    q_next: &[f32],
+    heads: usize,
+) -> (f32, f32) {
+    let (mut loss, mut q_mean) = (0.0, 0.0);
+    for (b, (q, q_next)) in rows.zip(q.chunks_exact_mut(heads).zip(q_next.chunks_exact(heads))) {
+        let least = q_next.iter().copied().fold(f32::INFINITY, f32::min);
+        let y = batch.returns[b] + batch.bootstrap[b] * least;
+        for q in q {
+            let error = *q - y;
+            loss += error * error;
+            q_mean += *q;
+            *q = 2.0 * error / n as f32;
+        }
+    }
+    (loss / n as f32, q_mean / (n * heads) as f32)
 }
 
 #[cfg(test)]

@@ -97,7 +97,7 @@ fn one_update_equals_the_unfused_graph() {
         let expected_loss = loss.to_scalar::<f32>().unwrap();
         assert!((metrics.loss - expected_loss).abs() <= 1e-5 * expected_loss.abs());
         let scale = expected.iter().fold(0.0_f32, |m, g| m.max(g.abs()));
-        for (i, (ours, candle)) in dqn.grads.iter().zip(&expected).enumerate() {
+        for (i, (ours, candle)) in dqn.parts[0].ws.gradient().iter().zip(&expected).enumerate() {
             assert!(
                 (ours - candle).abs() <= 1e-5 * scale,
                 "E {heads}, dueling {dueling}: gradient {i}: {ours}, candle {candle}"

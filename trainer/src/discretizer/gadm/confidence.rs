@@ -2,7 +2,11 @@
 
 use super::config::ConfidenceConfig;
 use crate::error::TrainError;
-use crate::nn::{Adam, DenseParams, Graph, Init, ParamLayout, Params, Slot, Workspace, argmax, declare_dense};
+use crate::nn::parallel::{PARTS, each, part_rows, split};
+use crate::nn::vector::{exp_sum, max, vectorised};
+use crate::nn::{
+    Adam, DenseParams, Graph, Init, Packed, ParamLayout, Params, Slot, Weights, Workspace, argmax, declare_dense,
+};
 use crate::seed::Rng;
 
 /// Scores closer together than this count as untrained: nothing is masked (specification 3.3, rule 2).
@@ -43,20 +47,20 @@ pub fn mask(scores: &[f32], threshold: f32, allowed: &mut [bool]) -> MaskRule {
 
 /// Softmax of each row of `k` logits, in place.
 pub fn softmax_rows(logits: &mut [f32], k: usize) {
+    vectorised(softmax, (logits, k));
+}
+
+#[inline(always)]
+fn softmax((logits, k): (&mut [f32], usize)) {
     for row in logits.chunks_exact_mut(k) {
-        let top = row.iter().fold(f32::NEG_INFINITY, |m, &l| m.max(l));
-        let mut sum = 0.0;
-        for v in row.iter_mut() {
-            *v = (*v - top).exp();
-            sum += *v;
-        }
-        for v in row {
-            *v /= sum;
-        }
+        let top = max(row);
+        let sum = exp_sum(row, top);
+        row.iter_mut().for_each(|v| *v /= sum);
     }
 }
 
 /// Focal loss of one row (eq. 3 with the modulating factor held constant), and its gradient times `scale` into `grad`.
+#[inline(always)]
 fn focal(logits: &[f32], class: usize, gamma: f32, scale: f32, grad: &mut [f32]) -> f32 {
     let cross_entropy = super::loss::cross_entropy(logits, class, 1.0, grad);
     let p = (-cross_entropy).exp().clamp(1e-6, 1.0);
@@ -65,6 +69,14 @@ fn focal(logits: &[f32], class: usize, gamma: f32, scale: f32, grad: &mut [f32])
         *g *= scale * factor;
     }
     factor * cross_entropy
+}
+
+/// Sum of the focal losses of some rows times `scale`, with its gradient.
+#[inline(always)]
+fn focal_rows((logits, codes, gamma, scale, grad): (&[f32], &[u32], f32, f32, &mut [f32])) -> f32 {
+    let k = grad.len() / codes.len().max(1);
+    let rows = logits.chunks_exact(k).zip(grad.chunks_exact_mut(k)).zip(codes);
+    rows.map(|((l, g), &code)| scale * focal(l, code as usize, gamma, scale, g)).sum()
 }
 
 /// The predictor network with its optimiser.
@@ -79,8 +91,8 @@ pub struct Confidence {
     graph: Graph,
     obs: Slot,
     out: Slot,
-    ws: Workspace,
-    grads: Vec<f32>,
+    packed: Packed,
+    parts: Vec<(Workspace, f32)>,
 }
 
 impl Confidence {
@@ -126,8 +138,10 @@ impl Confidence {
         let last = layers.len() - 1;
         let out = layers.iter().enumerate().fold(obs, |x, (i, layer)| graph.dense(x, layer, i < last));
         let adam = Adam::new(config.adam, params.layout().trainable_len());
-        let (ws, grads) = (graph.workspace(batch), vec![0.0; params.layout().trainable_len()]);
-        Ok(Self { config, latents, layers, params, adam, graph, obs, out, ws, grads })
+        let trainable = params.layout().trainable_len();
+        let parts = (0..PARTS).map(|_| (graph.workspace(part_rows(batch), trainable), 0.0)).collect();
+        let packed = graph.packed();
+        Ok(Self { config, latents, layers, params, adam, graph, obs, out, packed, parts })
     }
 
     /// Settings.
@@ -147,31 +161,49 @@ impl Confidence {
 
     /// One gradient step of the focal loss on `codes` (one per row of `obs`); returns the mean loss.
     pub fn update(&mut self, obs: &[f32], codes: &[u32]) -> f32 {
-        let Self { config, latents, params, adam, graph, obs: input, out, ws, grads, .. } = self;
+        let Self { config, latents, params, adam, graph, obs: input, out, packed, parts, .. } = self;
         let (batch, k, gamma) = (codes.len(), *latents, config.focal_gamma as f32);
-        ws.value_mut(*input)[..obs.len()].copy_from_slice(obs);
-        grads.fill(0.0);
-        let loss = params.with(|p| {
-            graph.forward(p, ws, batch, true);
-            graph.zero_grad(ws);
-            let logits = ws.value(*out)[..batch * k].to_vec();
-            let rows = logits.chunks_exact(k).zip(ws.grad_mut(*out).chunks_exact_mut(k)).zip(codes);
-            let scale = 1.0 / batch as f32;
-            let loss: f32 = rows.map(|((l, g), &c)| scale * focal(l, c as usize, gamma, scale, g)).sum();
-            graph.backward(p, ws, grads);
-            loss
+        let (rows, width) = (split(batch), obs.len() / batch);
+        graph.refresh(params, packed, true);
+        params.with(|p| {
+            let weights = Weights { flat: p, packed };
+            each(parts, &rows, |(ws, loss), rows| {
+                let numbers = rows.start * width..rows.end * width;
+                ws.value_mut(*input)[..numbers.len()].copy_from_slice(&obs[numbers]);
+                graph.forward(weights, ws, rows.len(), true);
+                let (logits, grad) = ws.value_and_grad(*out, *out);
+                let grad = &mut grad[..rows.len() * k];
+                let scale = 1.0 / batch as f32;
+                *loss = vectorised(focal_rows, (logits, &codes[rows.clone()], gamma, scale, grad));
+                graph.backward(weights, ws);
+            });
         });
-        params.with_mut(|p| adam.step(p, grads));
+        let [(a, loss_a), (b, loss_b)] = &mut parts[..] else { unreachable!("two parts") };
+        let mut gradients = [a.gradient_mut(), b.gradient_mut()];
+        let (gradients, loss) =
+            if rows[1].is_empty() { (&mut gradients[..1], *loss_a) } else { (&mut gradients[..], *loss_a + *loss_b) };
+        params.with_mut(|p| adam.step(p, gradients));
         loss
     }
 
     /// Scores of each row: softmax over the latents, `B x K`.
     pub fn scores(&mut self, obs: &[f32], batch: usize, scores: &mut Vec<f32>) {
-        self.ws.value_mut(self.obs)[..obs.len()].copy_from_slice(obs);
-        self.params.with(|p| self.graph.forward(p, &mut self.ws, batch, false));
-        scores.clear();
-        scores.extend_from_slice(&self.ws.value(self.out)[..batch * self.latents]);
-        softmax_rows(scores, self.latents);
+        let Self { latents, params, graph, obs: input, out, packed, parts, .. } = self;
+        let (rows, width, k) = (split(batch), obs.len() / batch.max(1), *latents);
+        graph.refresh(params, packed, false);
+        scores.resize(batch * k, 0.0);
+        let (first, second) = scores.split_at_mut(rows[0].len() * k);
+        let [a, b] = &mut parts[..] else { unreachable!("two parts") };
+        params.with(|p| {
+            let weights = Weights { flat: p, packed };
+            each(&mut [(a, first), (b, second)], &rows, |((ws, _), scores), rows| {
+                let numbers = rows.start * width..rows.end * width;
+                ws.value_mut(*input)[..numbers.len()].copy_from_slice(&obs[numbers]);
+                graph.forward(weights, ws, rows.len(), false);
+                scores.copy_from_slice(&ws.value(*out)[..rows.len() * k]);
+                softmax_rows(scores, k);
+            });
+        });
     }
 
     /// Masks of each row, `B x K`; returns how many rows fell back (rules 2 and 3 of specification 3.3).

@@ -4,6 +4,7 @@ use gadm_runtime::space::ActionHead;
 
 use super::config::RegressionLoss;
 use crate::action_space::{ActionSpace, ContinuousHead, atom};
+use crate::nn::vector::{exp_sum, max, vectorised};
 
 /// Settings the loss needs.
 #[derive(Clone, Copy, Debug)]
@@ -31,14 +32,19 @@ impl ReconstructionLoss {
     /// Loss of `outputs` (`batch x output_width`) against `actions` (`batch x slots`); writes the gradient of
     /// `continuous_weight · continuous + types + two_hot_weight · two_hot` into `grad`.
     pub fn evaluate(&self, space: &ActionSpace, outputs: &[f32], actions: &[f32], grad: &mut [f32]) -> Reconstruction {
+        let count = Count::of(space, actions);
+        vectorised(Self::evaluate_part, (self, space, outputs, actions, grad, count))
+    }
+
+    /// [`evaluate`](Self::evaluate) of some of the rows of a batch that has `count` in all: the parts add up to the whole.
+    #[inline(always)]
+    pub fn evaluate_part(
+        (settings, space, outputs, actions, grad, count): (&Self, &ActionSpace, &[f32], &[f32], &mut [f32], Count),
+    ) -> Reconstruction {
         let (slots, width) = (space.slots(), space.output_width());
         let batch = actions.len() / slots;
-        let counted: usize = actions
-            .chunks_exact(slots)
-            .map(|a| (0..slots).filter(|&s| is_continuous(space, s) && space.counts(a, s)).count())
-            .sum();
-        let each = 1.0 / counted.max(1) as f32;
-        let row = 1.0 / batch as f32;
+        let each = 1.0 / count.arguments.max(1) as f32;
+        let row = 1.0 / count.rows as f32;
         let mut loss = Reconstruction::default();
         for ((a, o), g) in
             actions.chunks_exact(slots).zip(outputs.chunks_exact(width)).zip(grad.chunks_exact_mut(width)).take(batch)
@@ -57,12 +63,12 @@ impl ReconstructionLoss {
                     ActionHead::Continuous { .. } => match space.continuous_head() {
                         ContinuousHead::Tanh => {
                             let y = o[0].tanh();
-                            let (value, slope) = self.pointwise(y - a[slot]);
+                            let (value, slope) = settings.pointwise(y - a[slot]);
                             loss.continuous += each * value;
-                            g[0] = self.continuous_weight * each * slope * (1.0 - y * y);
+                            g[0] = settings.continuous_weight * each * slope * (1.0 - y * y);
                         }
                         ContinuousHead::Categorical { atoms, .. } => {
-                            let part = self.categorical(o, a[slot], atoms, each, g);
+                            let part = settings.categorical(o, a[slot], atoms, each, g);
                             loss.continuous += each * part.0;
                             loss.two_hot += each * part.1;
                         }
@@ -73,6 +79,7 @@ impl ReconstructionLoss {
         loss
     }
 
+    #[inline(always)]
     fn pointwise(&self, error: f32) -> (f32, f32) {
         match self.regression {
             RegressionLoss::Mse => (error * error, 2.0 * error),
@@ -83,36 +90,50 @@ impl ReconstructionLoss {
     }
 
     /// Returns the regression loss of the expectation and the two-hot cross-entropy.
+    #[inline(always)]
     fn categorical(&self, o: &[f32], target: f32, atoms: usize, each: f32, g: &mut [f32]) -> (f32, f32) {
-        let top = o.iter().fold(f32::NEG_INFINITY, |m, &l| m.max(l));
-        let mut sum = 0.0;
-        for (g, &l) in g.iter_mut().zip(o) {
-            *g = (l - top).exp();
-            sum += *g;
+        let top = max(o);
+        g.copy_from_slice(o);
+        let sum = exp_sum(g, top);
+        let mut lanes = [0.0_f32; 8];
+        for (i, chunk) in g.chunks(8).enumerate() {
+            for (j, (lane, e)) in lanes.iter_mut().zip(chunk).enumerate() {
+                *lane += e * atom(8 * i + j, atoms);
+            }
         }
-        let value: f32 = g.iter().enumerate().map(|(j, e)| e / sum * atom(j, atoms)).sum();
+        let value = lanes.iter().sum::<f32>() / sum;
         let (loss, slope) = self.pointwise(value - target);
         let position = (target + 1.0) * 0.5 * (atoms - 1) as f32;
         let low = (position.floor() as usize).min(atoms - 2);
         let high_share = position - low as f32;
-        let share = |j: usize| {
-            if j == low {
-                1.0 - high_share
-            } else if j == low + 1 {
-                high_share
-            } else {
-                0.0
-            }
-        };
         let log_sum = sum.ln() + top;
-        let two_hot = [low, low + 1].iter().map(|&j| share(j) * (log_sum - o[j])).sum();
+        let two_hot = (1.0 - high_share) * (log_sum - o[low]) + high_share * (log_sum - o[low + 1]);
+        let (regression, inverse) = (self.continuous_weight * slope, 1.0 / sum);
         for (j, g) in g.iter_mut().enumerate() {
-            let p = *g / sum;
-            *g = each
-                * (self.continuous_weight * slope * p * (atom(j, atoms) - value)
-                    + self.two_hot_weight * (p - share(j)));
+            let p = *g * inverse;
+            *g = each * p * (regression * (atom(j, atoms) - value) + self.two_hot_weight);
         }
+        g[low] -= each * self.two_hot_weight * (1.0 - high_share);
+        g[low + 1] -= each * self.two_hot_weight * high_share;
         (loss, two_hot)
+    }
+}
+
+/// What the means of a batch are taken over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Count {
+    /// Rows.
+    pub rows: usize,
+    /// Continuous slots that count.
+    pub arguments: usize,
+}
+
+impl Count {
+    /// Of a batch of `actions`, one row each.
+    pub fn of(space: &ActionSpace, actions: &[f32]) -> Self {
+        let slots = space.slots();
+        let counts = |a: &[f32]| (0..slots).filter(|&s| is_continuous(space, s) && space.counts(a, s)).count();
+        Self { rows: actions.len() / slots, arguments: actions.chunks_exact(slots).map(counts).sum() }
     }
 }
 
@@ -121,16 +142,13 @@ fn is_continuous(space: &ActionSpace, slot: usize) -> bool {
 }
 
 /// Cross-entropy of `logits` with class `class`; writes `scale · (softmax - one-hot)` into `grad`.
+#[inline(always)]
 pub fn cross_entropy(logits: &[f32], class: usize, scale: f32, grad: &mut [f32]) -> f32 {
-    let top = logits.iter().fold(f32::NEG_INFINITY, |m, &l| m.max(l));
-    let mut sum = 0.0;
-    for (g, &l) in grad.iter_mut().zip(logits) {
-        *g = (l - top).exp();
-        sum += *g;
-    }
-    for g in grad.iter_mut() {
-        *g *= scale / sum;
-    }
+    let top = max(logits);
+    grad.copy_from_slice(logits);
+    let sum = exp_sum(grad, top);
+    let factor = scale / sum;
+    grad.iter_mut().for_each(|g| *g *= factor);
     grad[class] -= scale;
     sum.ln() + top - logits[class]
 }

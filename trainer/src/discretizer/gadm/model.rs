@@ -5,10 +5,12 @@ use std::ops::Range;
 
 use super::codetable::{Codetable, bisection};
 use super::config::{ActionModelConfig, Fusion};
-use super::loss::{Reconstruction, ReconstructionLoss};
+use super::loss::{Count, Reconstruction, ReconstructionLoss};
 use crate::action_space::{ActionSpace, ContinuousHead};
 use crate::error::TrainError;
-use crate::nn::{Adam, DenseParams, Graph, Init, ParamLayout, Params, Slot, Workspace, declare_dense};
+use crate::nn::parallel::{PARTS, each, part_rows, split};
+use crate::nn::vector::vectorised;
+use crate::nn::{Adam, DenseParams, Graph, Init, Packed, ParamLayout, Params, Slot, Weights, Workspace, declare_dense};
 use crate::seed::Rng;
 
 /// Rows a forward pass handles at once outside training.
@@ -33,7 +35,8 @@ struct Encoding {
     graph: Graph,
     obs: Option<Slot>,
     action: Slot,
-    ws: Workspace,
+    packed: Packed,
+    parts: Vec<Workspace>,
 }
 
 struct Decoding {
@@ -41,6 +44,7 @@ struct Decoding {
     obs: Option<Slot>,
     code: Slot,
     out: Slot,
+    packed: Packed,
     ws: Workspace,
 }
 
@@ -50,8 +54,18 @@ struct Training {
     action: Slot,
     latent: Slot,
     out: Slot,
-    ws: Workspace,
-    grads: Vec<f32>,
+    packed: Packed,
+    parts: Vec<Workspace>,
+    losses: Vec<PartLoss>,
+    codes: Vec<u32>,
+}
+
+/// What one part of a batch adds to the loss.
+#[derive(Clone, Copy, Debug, Default)]
+struct PartLoss {
+    reconstruction: Reconstruction,
+    /// Sum of `(z_e - V[k])²`.
+    commitment: f32,
 }
 
 /// What one update of the action model reports.
@@ -176,6 +190,45 @@ fn decode(graph: &mut Graph, config: &ActionModelConfig, layers: &Layers, code: 
     graph.dense(g, &layers.head, false)
 }
 
+/// Puts rows of observations and actions into the inputs of a graph.
+fn enter(ws: &mut Workspace, space: &ActionSpace, obs_slot: Option<Slot>, action: Slot, obs: &[f32], actions: &[f32]) {
+    if let Some(slot) = obs_slot {
+        ws.value_mut(slot)[..obs.len()].copy_from_slice(obs);
+    }
+    let rows = actions.chunks_exact(space.slots());
+    for (a, x) in rows.zip(ws.value_mut(action).chunks_exact_mut(space.input_width())) {
+        space.encode(a, x);
+    }
+}
+
+/// Sum of `(z_e - V[k])²` over the rows of `ws`; sets the gradient `2 λ (z_e - V[k]) / (batch D)` of the positions, and adds
+/// that of a learned table, which lies at `learned`.
+#[inline(always)]
+fn commit(
+    (ws, positions, table, d, lambda, batch, learned): (&mut Workspace, Slot, &[f32], usize, f32, usize, Option<usize>),
+) -> f32 {
+    let each = 2.0 / (batch * d) as f32;
+    let (codes, z, pull, gradient) = ws.code_loss(positions);
+    let mut sum = 0.0;
+    for ((&code, z), pull) in codes.iter().zip(z.chunks_exact(d)).zip(pull.chunks_exact_mut(d)) {
+        let first = code as usize * d;
+        let mut row = 0.0;
+        for ((z, v), pull) in z.iter().zip(&table[first..first + d]).zip(pull) {
+            let error = z - v;
+            row += error * error;
+            *pull = lambda * each * error;
+        }
+        sum += row;
+        if let Some(start) = learned {
+            let to = &mut gradient[start + first..start + first + d];
+            for ((z, v), to) in z.iter().zip(&table[first..first + d]).zip(to) {
+                *to -= each * (z - v);
+            }
+        }
+    }
+    sum
+}
+
 impl ActionModel {
     /// A fresh model for observations of `obs_dim` numbers.
     ///
@@ -233,21 +286,25 @@ impl ActionModel {
         let latent = encode(&mut graph, &config, &layers, action, state);
         let quantised = graph.quantise(latent, layers.table.clone(), one_hot);
         let out = decode(&mut graph, &config, &layers, quantised, state);
-        let (ws, grads) = (graph.workspace(batch), vec![0.0; params.layout().trainable_len()]);
-        let training = Training { graph, obs, action, latent, out, ws, grads };
+        let trainable = params.layout().trainable_len();
+        let parts = (0..PARTS).map(|_| graph.workspace(part_rows(batch), trainable)).collect();
+        let losses = vec![PartLoss::default(); PARTS];
+        let packed = graph.packed();
+        let training = Training { graph, obs, action, latent, out, packed, parts, losses, codes: Vec::new() };
 
         let mut graph = Graph::new();
         let (obs, action) = (conditioned.then(|| graph.input(obs_dim)), graph.input(space.input_width()));
         let state = state_branch(&mut graph, &config, &layers, obs);
         let z = encode(&mut graph, &config, &layers, action, state);
         graph.quantise(z, layers.table.clone(), one_hot);
-        let encoding = Encoding { ws: graph.workspace(CHUNK), graph, obs, action };
+        let parts = (0..PARTS).map(|_| graph.workspace(part_rows(CHUNK), 0)).collect();
+        let encoding = Encoding { packed: graph.packed(), parts, graph, obs, action };
 
         let mut graph = Graph::new();
         let (obs, code) = (conditioned.then(|| graph.input(obs_dim)), graph.input(d));
         let state = state_branch(&mut graph, &config, &layers, obs);
         let out = decode(&mut graph, &config, &layers, code, state);
-        let decoding = Decoding { ws: graph.workspace(CHUNK), graph, obs, code, out };
+        let decoding = Decoding { packed: graph.packed(), ws: graph.workspace(CHUNK, 0), graph, obs, code, out };
 
         let adam = Adam::new(config.adam, params.layout().trainable_len());
         Ok(Self { config, space, obs_dim, layers, params, adam, training, encoding, decoding })
@@ -271,79 +328,91 @@ impl ActionModel {
     /// One gradient step on `L_rec + λ L_com` (paper eq. 2 as corrected in specification 2.8), plus the embedding loss of a
     /// learned table. `obs` is `B x obs_dim`, `actions` `B x slots`.
     pub fn update(&mut self, obs: &[f32], actions: &[f32]) -> ActionModelMetrics {
-        let Self { config, space, layers, params, adam, training: t, .. } = self;
-        let batch = actions.len() / space.slots();
-        if let Some(slot) = t.obs {
-            t.ws.value_mut(slot)[..obs.len()].copy_from_slice(obs);
-        }
-        let width = space.input_width();
-        for (a, x) in actions.chunks_exact(space.slots()).zip(t.ws.value_mut(t.action).chunks_exact_mut(width)) {
-            space.encode(a, x);
-        }
+        let Self { config, space, obs_dim, layers, params, adam, training: t, .. } = self;
+        let (slots, d) = (space.slots(), config.code_dim());
+        let batch = actions.len() / slots;
+        let rows = split(batch);
         let loss = ReconstructionLoss {
             regression: config.regression,
             continuous_weight: config.continuous_weight as f32,
             two_hot_weight: config.two_hot_weight as f32,
         };
-        let (k_dim, lambda) = (config.code_dim(), config.commitment as f32);
-        t.grads.fill(0.0);
-        let metrics = params.with(|p| {
-            t.graph.forward(p, &mut t.ws, batch, true);
-            t.graph.zero_grad(&mut t.ws);
-            let out = t.ws.value(t.out).to_vec();
-            let reconstruction = loss.evaluate(space, &out, actions, t.ws.grad_mut(t.out));
+        let (lambda, count) = (config.commitment as f32, Count::of(space, actions));
+        let Training { graph, obs: obs_slot, action, latent, out, packed, parts, losses, codes } = t;
+        graph.refresh(params, packed, true);
+        params.with(|p| {
+            let weights = Weights { flat: p, packed };
+            each(parts, &rows, |ws, rows| {
+                enter(ws, space, *obs_slot, *action, &obs[rows.start * *obs_dim..rows.end * *obs_dim], {
+                    &actions[rows.start * slots..rows.end * slots]
+                });
+            });
+            graph.forward_parts(weights, parts, &rows);
             let table = &p[layers.table.clone()];
-            let each = 2.0 / (batch * k_dim) as f32;
-            let codes = t.ws.codes().to_vec();
-            let z = t.ws.value(t.latent)[..batch * k_dim].to_vec();
-            let pull = t.ws.grad_mut(t.latent);
-            let mut commitment = 0.0_f64;
-            for (i, (&code, z)) in codes.iter().zip(z.chunks_exact(k_dim)).enumerate() {
-                let row = code as usize * k_dim..(code as usize + 1) * k_dim;
-                for (j, (z, v)) in z.iter().zip(&table[row.clone()]).enumerate() {
-                    let error = z - v;
-                    commitment += f64::from(error * error);
-                    pull[i * k_dim + j] = lambda * each * error;
-                    if config.codetable == Codetable::Learned {
-                        t.grads[layers.table.start + row.start + j] -= each * error;
-                    }
-                }
-            }
-            let commitment = (commitment / (batch * k_dim) as f64) as f32;
-            t.graph.backward(p, &mut t.ws, &mut t.grads);
-            let total = loss.continuous_weight * reconstruction.continuous
-                + reconstruction.types
-                + loss.two_hot_weight * reconstruction.two_hot
-                + lambda * commitment;
-            ActionModelMetrics { loss: total, reconstruction, commitment, grad_norm: 0.0 }
+            let [ws_a, ws_b] = &mut parts[..] else { unreachable!("two parts") };
+            let [loss_a, loss_b] = &mut losses[..] else { unreachable!("two parts") };
+            each(&mut [(ws_a, loss_a), (ws_b, loss_b)], &rows, |(ws, sums), rows| {
+                let (value, grad) = ws.value_and_grad(*out, *out);
+                let actions = &actions[rows.start * slots..rows.end * slots];
+                sums.reconstruction =
+                    vectorised(ReconstructionLoss::evaluate_part, (&loss, space, value, actions, grad, count));
+                let learned = (config.codetable == Codetable::Learned).then_some(layers.table.start);
+                sums.commitment = vectorised(commit, (ws, *latent, table, d, lambda, batch, learned));
+            });
+            graph.backward_parts(weights, parts, &rows);
         });
-        let grad_norm = params.with_mut(|p| {
-            let norm = adam.step(p, &t.grads);
-            t.graph.update_running_statistics(p, &t.ws);
+        let used = if rows[1].is_empty() { 1 } else { PARTS };
+        codes.clear();
+        let mut metrics = ActionModelMetrics::default();
+        for (ws, sums) in parts.iter().zip(&*losses).take(used) {
+            codes.extend_from_slice(ws.codes());
+            let (r, part) = (&mut metrics.reconstruction, sums.reconstruction);
+            r.continuous += part.continuous;
+            r.types += part.types;
+            r.two_hot += part.two_hot;
+            metrics.commitment += sums.commitment / (batch * d) as f32;
+        }
+        let r = metrics.reconstruction;
+        metrics.loss = loss.continuous_weight * r.continuous
+            + r.types
+            + loss.two_hot_weight * r.two_hot
+            + lambda * metrics.commitment;
+        let [a, b] = &mut parts[..] else { unreachable!("two parts") };
+        metrics.grad_norm = params.with_mut(|p| {
+            let norm = adam.step(p, &mut [a.gradient_mut(), b.gradient_mut()][..used]);
+            graph.update_running_statistics(p, a, batch);
             norm
         });
-        ActionModelMetrics { grad_norm, ..metrics }
+        metrics
     }
 
     /// Latents assigned in the last [`update`](Self::update).
     pub fn training_codes(&self) -> &[u32] {
-        self.training.ws.codes()
+        &self.training.codes
     }
 
     /// Latent of each action (latent action remapping): `argmin_k ‖e(s, a) - V[k]‖`, with running statistics.
     pub fn encode(&mut self, obs: &[f32], actions: &[f32], codes: &mut Vec<u32>) {
         let Self { space, params, encoding: e, obs_dim, .. } = self;
-        let (slots, width) = (space.slots(), space.input_width());
-        codes.clear();
-        for (actions, obs) in actions.chunks(CHUNK * slots).zip(obs.chunks(CHUNK * *obs_dim)) {
-            if let Some(slot) = e.obs {
-                e.ws.value_mut(slot)[..obs.len()].copy_from_slice(obs);
-            }
-            for (a, x) in actions.chunks_exact(slots).zip(e.ws.value_mut(e.action).chunks_exact_mut(width)) {
-                space.encode(a, x);
-            }
-            params.with(|p| e.graph.forward(p, &mut e.ws, actions.len() / slots, false));
-            codes.extend_from_slice(e.ws.codes());
+        let slots = space.slots();
+        let Encoding { graph, obs: obs_slot, action, packed, parts } = e;
+        graph.refresh(params, packed, false);
+        codes.resize(actions.len() / slots, 0);
+        let chunks = actions.chunks(CHUNK * slots).zip(obs.chunks(CHUNK * *obs_dim));
+        for ((actions, obs), codes) in chunks.zip(codes.chunks_mut(CHUNK)) {
+            let rows = split(codes.len());
+            let (first, second) = codes.split_at_mut(rows[0].len());
+            let [a, b] = &mut parts[..] else { unreachable!("two parts") };
+            params.with(|p| {
+                let weights = Weights { flat: p, packed };
+                each(&mut [(a, first), (b, second)], &rows, |(ws, codes), rows| {
+                    enter(ws, space, *obs_slot, *action, &obs[rows.start * *obs_dim..rows.end * *obs_dim], {
+                        &actions[rows.start * slots..rows.end * slots]
+                    });
+                    graph.forward(weights, ws, rows.len(), false);
+                    codes.copy_from_slice(ws.codes());
+                });
+            });
         }
     }
 
@@ -365,6 +434,7 @@ impl ActionModel {
     fn decode_outputs(&mut self, obs: &[f32], codes: &[u32]) {
         let Self { params, decoding: d, layers, config, .. } = self;
         let width = config.code_dim();
+        d.graph.refresh(params, &mut d.packed, false);
         if let Some(slot) = d.obs {
             d.ws.value_mut(slot)[..obs.len()].copy_from_slice(obs);
         }
@@ -373,7 +443,7 @@ impl ActionModel {
             for (&code, row) in codes.iter().zip(d.ws.value_mut(d.code).chunks_exact_mut(width)) {
                 row.copy_from_slice(&table[code as usize * width..(code as usize + 1) * width]);
             }
-            d.graph.forward(p, &mut d.ws, codes.len(), false);
+            d.graph.forward(Weights { flat: p, packed: &d.packed }, &mut d.ws, codes.len(), false);
         });
     }
 }
