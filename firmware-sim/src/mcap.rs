@@ -294,8 +294,9 @@ fn decision_schema() -> Value {
 }
 
 fn heartbeat_schema() -> Value {
-    let mut schema = integers(&["seq", "value", "jitter_permille", "bias_permille"]);
-    for name in ["state", "fault", "page"] {
+    let numbers = ["seq", "value", "jitter_permille", "bias_permille", "reason_slot", "running_slot", "on_trial"];
+    let mut schema = integers(&numbers);
+    for name in ["state", "fault", "page", "reason", "slot0_state", "slot1_state"] {
         schema["properties"][name] = json!({ "type": "string" });
     }
     schema

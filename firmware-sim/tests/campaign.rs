@@ -116,7 +116,11 @@ fn exit_codes() {
     let status = |text: &str| {
         let (folder, scenario) = folder(text);
         let mut command = Command::new(env!("CARGO_BIN_EXE_gadm-sim"));
-        command.arg("campaign").arg(scenario).args(["--quiet", "--json", "--seeds", "1", "-o"]).arg(folder.path().join("o"));
+        command
+            .arg("campaign")
+            .arg(scenario)
+            .args(["--quiet", "--json", "--seeds", "1", "-o"])
+            .arg(folder.path().join("o"));
         let output = command.output().unwrap();
         (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned(), output.stdout)
     };
