@@ -134,7 +134,7 @@ fn epsilon_is_drawn_per_environment() {
     let mut run = Run::new(config).unwrap();
     rounds(&mut run, 1);
     let (_, columns) = run.d_rl.arrays();
-    let (obs, codes) = (columns[0].to_vec(), columns[2].to_vec());
+    let (obs, codes) = (columns[0].clone(), columns[2].clone());
     let mut greedy = Vec::new();
     run.agent.greedy(&obs, 4000, &mut greedy);
     let off = |rows: std::ops::Range<usize>| rows.filter(|&i| codes[i] as u32 != greedy[i]).count() as f64;
@@ -165,7 +165,7 @@ fn remapping_off_trains_the_latent_of_collection_time() {
         let mut columns = columns;
         columns[2].fill(5.0);
         let mut run = Run::new(config.clone()).unwrap();
-        assert!(run.d_rl.restore(next, columns));
+        assert!(run.d_rl.restore(next, &columns));
         let (name, width) = ("advantage.weight", 3 * 16);
         let before = run.agent.dqn.params.part(name);
         rounds(&mut run, 1);
@@ -282,7 +282,7 @@ fn calibration_takes_the_newest_half_by_age() {
     let rank = |row: usize| ((row + 500 - 120) % 500) as f32;
     let obs: Vec<f32> = (0..500).flat_map(|row| [rank(row), 0.0, 0.0]).collect();
     let zeros = || vec![0.0; 500];
-    assert!(run.d_rl.restore(120, [obs.clone(), zeros(), zeros(), zeros(), zeros(), obs]));
+    assert!(run.d_rl.restore(120, &[obs.clone(), zeros(), zeros(), zeros(), zeros(), obs]));
     checkpoint::save(&run, dir.path()).unwrap();
     let calibration = checkpoint::load_trained(dir.path(), false).unwrap().calibration;
     let ranks: Vec<f32> = calibration.chunks(3).map(|o| o[0]).collect();

@@ -440,7 +440,9 @@ impl Graph {
                         *h += g * o;
                     }
                 }
-                product.iter_mut().for_each(|p| *p /= gain);
+                for p in &mut *product {
+                    *p /= gain;
+                }
             },
             (),
         );
@@ -462,8 +464,10 @@ impl Graph {
         vectorised(
             |()| {
                 let scale = 1.0 / batch as f32;
-                sum.iter_mut().for_each(|m| *m *= scale);
-                product.iter_mut().for_each(|h| *h *= scale / gain);
+                for (m, h) in sum.iter_mut().zip(&mut *product) {
+                    *m *= scale;
+                    *h *= scale / gain;
+                }
                 let to = grad[*x].chunks_exact_mut(width).zip(dy.chunks_exact(width)).zip(act[*y].chunks_exact(width));
                 for ((to, g), o) in to.take(rows) {
                     let columns = stats.iter().zip(&*sum).zip(&*product);

@@ -188,7 +188,9 @@ impl RlBuffer {
     fn put(&mut self, [obs, action, code, ret, bootstrap, next_obs]: [&[f32]; 6]) {
         let at = self.cursor.advance();
         if let Some(&old) = self.rows.get(at) {
-            old.into_iter().for_each(|row| self.states.release(row));
+            for row in old {
+                self.states.release(row);
+            }
         } else {
             if self.rows.capacity() == at {
                 self.rows.reserve_exact(more(at, self.cursor.capacity));
@@ -237,7 +239,7 @@ impl RlBuffer {
 
     /// Takes arrays back. False where their lengths do not fit.
     #[must_use]
-    pub fn restore(&mut self, next: usize, columns: [Vec<f32>; 6]) -> bool {
+    pub fn restore(&mut self, next: usize, columns: &[Vec<f32>; 6]) -> bool {
         let len = columns[2].len();
         let slots = self.columns[0].width;
         let widths = [self.states.width(), slots, 1, 1, 1, self.states.width()];
@@ -346,7 +348,7 @@ mod tests {
             let (mut a, _) = pushed(40, steps);
             let (next, columns) = a.arrays();
             let mut b = RlBuffer::new(40, 3, 2);
-            assert!(b.restore(next, columns.clone()));
+            assert!(b.restore(next, &columns));
             let (_, more) = pushed(40, 130);
             for t in &more {
                 a.push(t);
@@ -355,7 +357,7 @@ mod tests {
             assert_eq!(a.arrays(), b.arrays());
             let mut short = columns;
             short[5].pop();
-            assert!(!b.restore(next, short));
+            assert!(!b.restore(next, &short));
         }
     }
 }

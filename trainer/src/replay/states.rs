@@ -60,7 +60,7 @@ impl States {
         }
         let row = self.free.pop().unwrap_or_else(|| {
             let row = self.uses.len();
-            if row % CHUNK == 0 {
+            if row.is_multiple_of(CHUNK) {
                 self.chunks.push(vec![0.0; CHUNK * self.width].into());
                 self.uses.reserve_exact(CHUNK);
             }

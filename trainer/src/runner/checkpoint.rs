@@ -304,7 +304,7 @@ pub fn load(dir: &Path) -> Result<Run, TrainError> {
     for (name, column) in RL_COLUMNS.iter().zip(&mut columns) {
         *column = arrays.take(&format!("d_rl/{name}")).map_err(&bad)?;
     }
-    if !run.d_ar.restore(state.ar_next, obs, actions) || !run.d_rl.restore(state.rl_next, columns) {
+    if !run.d_ar.restore(state.ar_next, obs, actions) || !run.d_rl.restore(state.rl_next, &columns) {
         return Err(bad("the replay arrays do not fit this configuration".to_owned()));
     }
     Ok(run)

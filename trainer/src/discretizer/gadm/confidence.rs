@@ -55,7 +55,9 @@ fn softmax((logits, k): (&mut [f32], usize)) {
     for row in logits.chunks_exact_mut(k) {
         let top = max(row);
         let sum = exp_sum(row, top);
-        row.iter_mut().for_each(|v| *v /= sum);
+        for v in row {
+            *v /= sum;
+        }
     }
 }
 

@@ -148,7 +148,9 @@ pub fn cross_entropy(logits: &[f32], class: usize, scale: f32, grad: &mut [f32])
     grad.copy_from_slice(logits);
     let sum = exp_sum(grad, top);
     let factor = scale / sum;
-    grad.iter_mut().for_each(|g| *g *= factor);
+    for g in &mut *grad {
+        *g *= factor;
+    }
     grad[class] -= scale;
     sum.ln() + top - logits[class]
 }
