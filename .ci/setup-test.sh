@@ -17,6 +17,7 @@ prepare() {
     cp "$here/../rust-toolchain.toml" "$scratch/a project/"
     stub "$scratch/a project/.ci/mujoco.sh" 'exit 0'
     stub "$scratch/a project/.ci/guest.py" 'exit 0'
+    stub "$scratch/a project/.ci/python.sh" 'exit 0'
     for tool in sh cat cut dirname grep head mktemp printf rm sed sort tail uname; do
         ln -s "$(command -v "$tool")" "$bin/$tool"
     done

@@ -21,8 +21,9 @@ command -v "$cc" >/dev/null 2>&1 ||
 command -v cargo >/dev/null 2>&1 ||
     fail "cargo not found; install Rust from https://rustup.rs, open a new shell and run \`make setup\` again"
 
-# The script says itself what is wrong with python3 or pip.
+# The scripts say themselves what is wrong with python3 or pip.
 .ci/mujoco.sh
+.ci/python.sh
 
 pinned=$(sed -n 's/^channel *= *"\(.*\)"/\1/p' rust-toolchain.toml)
 toolchain=${RUSTUP_TOOLCHAIN:-$pinned}

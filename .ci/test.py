@@ -99,6 +99,25 @@ def stages():
             ),
         ),
         Stage(
+            "firmware",
+            "firmware for three boards; no panic can be reached in it",
+            [
+                ["cargo", "fmt", "--manifest-path", "firmware-sim/firmware/Cargo.toml", "--check"],
+                ["firmware-sim/firmware/build.sh", "--check"],
+            ],
+        ),
+        Stage(
+            "boards",
+            "firmware on emulated boards: frames of the run in process, decisions of the host, python-can as plant",
+            [
+                cargo("test", "-p", "gadm-sim", "--test", "qemu", "--", "--ignored", "--test-threads", "2"),
+                [".ci/python.sh"],
+                ["target/python/bin/python", "tests/python/board.py"],
+            ],
+            limit_s=900,
+            needs=("qemu-system-arm", "not run: no qemu-system-arm (Debian: apt-get install qemu-system-arm)", True),
+        ),
+        Stage(
             "runtime",
             "runtime as a device has it: without features",
             [cargo("test", "--quiet", "-p", "gadm-runtime", "--no-default-features")],

@@ -12,7 +12,8 @@ const BOARDS: [(&str, &str); 3] = [
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
-    let feature = |name: &str| env::var_os(format!("CARGO_FEATURE_{}", name.to_uppercase().replace('-', "_"))).is_some();
+    let feature =
+        |name: &str| env::var_os(format!("CARGO_FEATURE_{}", name.to_uppercase().replace('-', "_"))).is_some();
     let chosen: Vec<_> = BOARDS.iter().filter(|(name, _)| feature(name)).collect();
     let [(_, memory)] = chosen[..] else {
         let names = BOARDS.map(|(name, _)| name).join(", ");

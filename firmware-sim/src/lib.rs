@@ -23,6 +23,7 @@
 //! | [`fault`], [`scenario`], [`campaign`] | what goes wrong, what to run and what must hold; many of them |
 //! | [`soak`] | a long run |
 //! | [`dbc`] | the messages of a policy as a CAN database |
+//! | [`install`] | a new policy for a node, over its bus |
 //! | [`decode`] | frames as named signals |
 //! | `mcap` | a trace for Foxglove (feature `mcap`) |
 //! | [`replay`] | a trace through the policy again |
@@ -39,6 +40,7 @@ pub mod decode;
 mod error;
 pub mod fault;
 pub mod host;
+pub mod install;
 pub mod interface;
 #[cfg(feature = "mcap")]
 pub mod mcap;

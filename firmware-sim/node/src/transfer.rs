@@ -15,6 +15,12 @@ use crate::store::Refusal;
 /// Bytes of a block.
 pub const BLOCK: usize = 256;
 
+/// CRC-32/ISO-HDLC, as BEGIN and COMMIT carry it.
+#[must_use]
+pub fn checksum(bytes: &[u8]) -> u32 {
+    CRC32.checksum(bytes)
+}
+
 /// Where to go on.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Resume(u32);

@@ -5,6 +5,7 @@ mod campaign;
 mod completions;
 mod dbc;
 mod doctor;
+mod flash;
 mod hub;
 mod load;
 mod man;
@@ -56,6 +57,8 @@ enum Command {
     Replay(replay::Args),
     /// Print the states from which the episodes of a plant start
     Reset(reset::Args),
+    /// Bring a new policy to a node over its bus: transfer, trial, confirmation
+    Flash(flash::Args),
     /// Read a candump trace as named signals
     Trace(trace::Args),
     /// Say what this machine can do, and how to get the rest
@@ -78,6 +81,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Dbc(args) => dbc::main(&args),
         Command::Replay(args) => replay::main(&args),
         Command::Reset(args) => reset::main(&args),
+        Command::Flash(args) => flash::main(&args),
         Command::Trace(args) => trace::main(&args),
         Command::Doctor(args) => doctor::main(&args),
         Command::Completions(args) => completions::main(&args),

@@ -135,10 +135,14 @@ impl Board {
         })?;
         let mut emulator = Emulator { child, socket, _folder: folder };
         let end = deadline(PATIENCE);
-        while !emulator.socket.exists() {
+        loop {
+            // The socket's file is there a moment before anybody may connect; then the emulator says that it waits.
+            let said = fs::read_to_string(&log).unwrap_or_default();
+            if said.contains("waiting for connection") {
+                break;
+            }
             let ended = emulator.child.try_wait().ok().flatten();
             if ended.is_some() || left(end).is_none() {
-                let said = fs::read_to_string(&log).unwrap_or_default();
                 let how = ended.map_or_else(|| "hangs".to_owned(), |status| format!("ended ({status})"));
                 return Err(failed(format!("{PROGRAM} {how}: {}", said.trim())));
             }
