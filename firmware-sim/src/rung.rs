@@ -88,6 +88,13 @@ impl Rung {
     ) -> Result<Box<dyn Target + 'p>, SimError> {
         let policy = Policy::load(job.image).map_err(SimError::Policy)?;
         let pace = self.realtime.map(|factor| Pace::new(factor, policy.spec().control_period_us));
+        if self.place != Place::InProcess && self.realtime.is_none() && job.config.time == TimeSource::Local {
+            return Err(SimError::Remote {
+                bus: "lockstep".to_owned(),
+                what: "a fault of the node's own timer (clock-drift) needs a node in this process, or --realtime"
+                    .to_owned(),
+            });
+        }
         let mut emulator = None;
         let (address, program, hub) = match &self.place {
             Place::InProcess => {

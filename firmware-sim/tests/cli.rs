@@ -52,7 +52,7 @@ fn quiet_is_quiet_and_criteria_have_their_own_exit_code() {
     assert_eq!((out.status.code(), stderr(&out).as_str(), out.stdout.len()), (Some(0), "", 0));
     let out = sim(&["run", &policy, "--episodes", "1", "--min-return", "1e9"]);
     assert_eq!(out.status.code(), Some(3));
-    assert!(stderr(&out).contains("below the required"), "{}", stderr(&out));
+    assert!(stderr(&out).contains("missed: min_return: required"), "{}", stderr(&out));
     let out = sim(&["run", &policy, "--episodes", "1", "--min-return", "-1e9"]);
     assert_eq!(out.status.code(), Some(0));
 }

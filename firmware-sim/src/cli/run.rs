@@ -9,9 +9,9 @@ use clap::ValueEnum;
 use gadm_sim::bus::Address;
 use gadm_sim::report::Recording;
 use gadm_sim::rung::{Place, Rung, run_on};
-use gadm_sim::scenario::Criteria;
+use gadm_sim::scenario::{Criteria, Scenario, Verdict};
 use gadm_sim::target::qemu::{Board, Machine};
-use gadm_sim::{BitRate, Profile, Progress, RunOptions};
+use gadm_sim::{BitRate, Profile, Progress, RunOptions, RunResult, SimError};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{CRITERIA_MISSED, report, say};
@@ -19,6 +19,7 @@ use super::{CRITERIA_MISSED, report, say};
 const EXAMPLES: &str = "\
 Examples:
   gadm-sim run models/inverted-pendulum-v5/policy.bin --episodes 5
+  gadm-sim run firmware-sim/scenarios/hopper-bad-bus.toml --bus hub
   gadm-sim run policy.bin --profile classic-i16 --trace hop.log
   gadm-sim run policy.bin --bus socketcan:vcan0 --trace hop.log
   gadm-sim run policy.bin --target qemu:mps2-an386 --trace hop.log
@@ -28,12 +29,15 @@ The same seed gives the same trace, byte for byte, on every bus. In fd-f32 the
 returns are those of `gadm eval policy.bin` with the same --seed, bit for bit.
 With --realtime the wall decides, and nothing is repeatable.
 
-Exit codes: 0 ok, 1 error, 2 usage, 3 --min-return missed, 4 something is
-missing here (MuJoCo, say).";
+A scenario (.toml) says what to run, what goes wrong and what must hold;
+options given here come before it.
+
+Exit codes: 0 ok, 1 error, 2 usage, 3 criteria missed, 4 something is missing
+here (MuJoCo, say).";
 
 const PLANT_EXAMPLES: &str = "\
 Examples:
-  gadm-sim plant policy.bin --connect unix:/tmp/can.sock --episodes 5
+  gadm-sim plant policy.bin --connect unix:can.sock --episodes 5
   gadm-sim plant policy.bin --connect socketcan:vcan0 --trace hop.log
 
 The other end is `gadm-sim node policy.bin --connect BUS`, which must be there
@@ -75,20 +79,21 @@ pub(crate) struct PlantArgs {
 /// What is run, wherever.
 #[derive(clap::Args)]
 struct What {
-    /// Policy file
-    policy: PathBuf,
+    /// Policy file, or scenario file (.toml)
+    #[arg(value_name = "POLICY|SCENARIO.toml")]
+    file: PathBuf,
     /// Plant, by its environment id [default: what the policy was trained for]
     #[arg(long, value_name = "ENV")]
     plant: Option<String>,
-    /// Number of episodes
-    #[arg(long, default_value_t = 20, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
-    episodes: u64,
-    /// Seed of the run; every episode has its own, derived from it
-    #[arg(long, default_value_t = 0, value_name = "N")]
-    seed: u64,
-    /// How values travel
-    #[arg(long, value_enum, default_value = "fd-f32")]
-    profile: ProfileArg,
+    /// Number of episodes [default: 20]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    episodes: Option<u64>,
+    /// Seed of the run; every episode has its own, derived from it [default: 0]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// How values travel [default: fd-f32]
+    #[arg(long, value_enum)]
+    profile: Option<ProfileArg>,
     /// Write all frames to FILE, as `candump -L` does
     #[arg(long, value_name = "FILE", help_heading = "Output")]
     trace: Option<PathBuf>,
@@ -107,14 +112,14 @@ struct What {
     /// Run although the policy does not fit the bus (see `gadm-sim bus load`)
     #[arg(long, help_heading = "Bus")]
     allow_overload: bool,
-    /// Bit rate of classic frames and of the arbitration of FD frames, bit/s
-    #[arg(long, default_value_t = BitRate::default().nominal, value_name = "BPS",
-          value_parser = clap::value_parser!(u32).range(10_000..=1_000_000), help_heading = "Bus")]
-    bitrate: u32,
-    /// Bit rate of the data of FD frames, bit/s
-    #[arg(long, default_value_t = BitRate::default().data, value_name = "BPS",
-          value_parser = clap::value_parser!(u32).range(10_000..=8_000_000), help_heading = "Bus")]
-    data_bitrate: u32,
+    /// Bit rate of classic frames and of the arbitration of FD frames, bit/s [default: 500000]
+    #[arg(long, value_name = "BPS", value_parser = clap::value_parser!(u32).range(10_000..=1_000_000),
+          help_heading = "Bus")]
+    bitrate: Option<u32>,
+    /// Bit rate of the data of FD frames, bit/s [default: 2000000]
+    #[arg(long, value_name = "BPS", value_parser = clap::value_parser!(u32).range(10_000..=8_000_000),
+          help_heading = "Bus")]
+    data_bitrate: Option<u32>,
     /// Go by the wall's time, FACTOR times as fast, and measure latency and jitter; lockstep without this
     #[arg(long, value_name = "FACTOR", num_args = 0..=1, default_missing_value = "1", value_parser = factor,
           help_heading = "Bus")]
@@ -186,27 +191,59 @@ pub(crate) fn plant(args: &PlantArgs) -> anyhow::Result<ExitCode> {
     drive(&args.what, Place::Bus { address: args.connect.clone(), program: None })
 }
 
-fn drive(args: &What, place: Place) -> anyhow::Result<ExitCode> {
+/// What a scenario says, or the defaults, with what the command line says before it.
+fn plan(args: &What) -> Result<(RunOptions, Option<Scenario>), SimError> {
+    let is_scenario = args.file.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
+    let scenario = if is_scenario { Some(Scenario::load(&args.file)?) } else { None };
+    let base = scenario.as_ref().map_or_else(|| RunOptions::new(&args.file), Scenario::run_options);
     let options = RunOptions {
-        policy: args.policy.clone(),
-        plant: args.plant.clone(),
-        episodes: args.episodes,
-        seed: args.seed,
-        profile: args.profile.into(),
-        bit_rate: BitRate { nominal: args.bitrate, data: args.data_bitrate },
+        plant: args.plant.clone().or(base.plant),
+        episodes: args.episodes.unwrap_or(base.episodes),
+        seed: args.seed.unwrap_or(base.seed),
+        profile: args.profile.map_or(base.profile, Profile::from),
+        bit_rate: BitRate {
+            nominal: args.bitrate.unwrap_or(base.bit_rate.nominal),
+            data: args.data_bitrate.unwrap_or(base.bit_rate.data),
+        },
         allow_overload: args.allow_overload,
         trace: args.trace.clone(),
-        faults: Vec::new(),
         record: args.report.is_some().then(Recording::default),
+        ..base
     };
+    Ok((options, scenario))
+}
+
+/// What was asked for and what was found; `None` where nothing was.
+fn judge(
+    args: &What,
+    options: &RunOptions,
+    scenario: Option<Scenario>,
+    result: &RunResult,
+) -> Result<Option<Verdict>, SimError> {
+    let Some(mut scenario) = scenario else {
+        let asked = args.min_return.map(|limit| Criteria { min_return: Some(limit), ..Criteria::default() });
+        return Ok(asked.map(|criteria| criteria.judge(result, None)));
+    };
+    scenario.criteria.min_return = args.min_return.or(scenario.criteria.min_return);
+    // In lockstep the run without faults is the same on every bus.
+    let nominal = if scenario.needs_nominal() {
+        let clean = RunOptions { faults: Vec::new(), trace: None, record: None, ..options.clone() };
+        Some(gadm_sim::run(&clean)?)
+    } else {
+        None
+    };
+    Ok(Some(scenario.judge(result, nominal.as_ref())))
+}
+
+fn drive(args: &What, place: Place) -> anyhow::Result<ExitCode> {
+    let (options, scenario) = plan(args)?;
     let rung = Rung { place, realtime: args.realtime };
-    let mut display = Display::new(args.episodes, args.quiet);
+    let mut display = Display::new(options.episodes, args.quiet);
     let result = run_on(&options, &rung, &mut |p| display.show(p));
     display.clear();
     let result = result?;
+    let verdict = judge(args, &options, scenario, &result)?;
     if let (Some(path), Some(recording)) = (&args.report, &options.record) {
-        let asked = args.min_return.map(|_| Criteria { min_return: args.min_return, ..Criteria::default() });
-        let verdict = asked.map(|criteria| criteria.judge(&result, None));
         report::write(path, &options, recording, &result, verdict.as_ref())?;
     }
     if !args.quiet {
@@ -217,17 +254,24 @@ fn drive(args: &What, place: Place) -> anyhow::Result<ExitCode> {
         if let Some(path) = &args.report {
             say(&format!("  {:<18} {}", "report", path.display()));
         }
+        if let Some(verdict) = verdict.as_ref().filter(|v| v.passed && !v.criteria.is_empty()) {
+            say(&format!("  {:<18} all {} hold", "criteria", verdict.criteria.len()));
+        }
     }
     if args.json {
+        let mut value = serde_json::to_value(&result)?;
+        if let (Some(fields), Some(verdict)) = (value.as_object_mut(), &verdict) {
+            fields.insert("verdict".to_owned(), serde_json::to_value(verdict)?);
+        }
         let mut out = std::io::stdout().lock();
-        serde_json::to_writer_pretty(&mut out, &result).map_err(std::io::Error::from)?;
+        serde_json::to_writer_pretty(&mut out, &value).map_err(std::io::Error::from)?;
         writeln!(out)?;
     }
-    if let Some(limit) = args.min_return.filter(|limit| result.returns.mean < *limit) {
-        say(&format!("missed: mean return {} is below the required {limit}", result.returns.mean));
-        return Ok(ExitCode::from(CRITERIA_MISSED));
+    let Some(verdict) = verdict.filter(|v| !v.passed) else { return Ok(ExitCode::SUCCESS) };
+    for line in verdict.missed() {
+        say(&format!("missed: {line}"));
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(ExitCode::from(CRITERIA_MISSED))
 }
 
 /// Progress: a bar on a terminal, else a line every ten seconds.

@@ -43,6 +43,7 @@ pub struct Remote<L> {
     bus: Box<dyn Bus>,
     expected: Expected,
     tag: u16,
+    start_tag: u16,
     sent: u32,
     pace: Option<Pace>,
     booted: bool,
@@ -69,7 +70,7 @@ impl<L: Link> Remote<L> {
     ) -> Result<Self, SimError> {
         // Another number for each run, so that an answer to an earlier run's START is not taken for one to this.
         let tag = std::process::id() as u16;
-        let mut remote = Self { link, local, bus, expected, tag, sent: 0, pace, booted: false };
+        let mut remote = Self { link, local, bus, expected, tag, start_tag: tag, sent: 0, pace, booted: false };
         let reply = remote.start_afresh(tag)?;
         let wanted = lockstep::mode(remote.expected.profile, remote.pace.is_some());
         if reply.op == OP_REFUSED {
@@ -264,6 +265,13 @@ impl<L: Link> Target for Remote<L> {
         }
         self.forward()?;
         self.barrier()
+    }
+
+    fn power_cycle(&mut self) -> Result<(), SimError> {
+        self.start_tag = self.start_tag.wrapping_add(1);
+        self.start_afresh(self.start_tag)?;
+        (self.sent, self.booted) = (0, false);
+        Ok(())
     }
 
     fn status(&self) -> Option<NodeStatus> {
