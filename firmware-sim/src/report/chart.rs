@@ -271,7 +271,7 @@ impl Chart {
         let mut svg = Svg::new(WIDTH, (top + height + bottom) as u32, &self.title);
         let x = Scale { from: x.0, to: x.1, length: f64::from(WIDTH) - LEFT - RIGHT };
         let y = Scale { from: y.0, to: y.1, length: height };
-        for tick in y.ticks(42.0) {
+        for tick in y.ticks(42.0_f64.min(height / 3.0)) {
             let at = top + height - y.at(tick);
             svg.line([LEFT, at, LEFT + x.length, at], "grid");
             svg.text(LEFT - 8.0, at + 4.5, "end", &label(tick));

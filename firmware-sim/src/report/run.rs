@@ -77,7 +77,7 @@ pub fn run_report(result: &RunResult, policy: &Policy, about: &About) -> Result<
 
 fn verdicts(page: &mut Page, result: &RunResult, verdict: Option<&Verdict>) {
     let r = &result.returns;
-    let mean = format!("mean return {} ± {} over {} episodes", label(r.mean), label(r.sd), r.n);
+    let mean = format!("mean return {} ± {}, n {}", label(r.mean), label(r.sd), r.n);
     match verdict.filter(|v| !v.criteria.is_empty()) {
         None => _ = page.verdict(Mark::Note, format!("No criterion was given; {mean}.")),
         Some(v) => {

@@ -4,12 +4,14 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use gadm_envs::EnvOptions;
+use gadm_envs::render::Camera;
+use gadm_envs::{Env, make_with};
 use gadm_runtime::Policy;
 use gadm_runtime::encode::AlignedImage;
 use gadm_trainer::TrainError;
+use gadm_trainer::atomic;
 use gadm_trainer::runner::checkpoint::load_trained;
-use gadm_trainer::runner::{Evaluation, evaluate, evaluate_policy};
+use gadm_trainer::runner::{Evaluation, evaluate_in, evaluate_policy_in};
 use serde::Serialize;
 
 use super::{CRITERIA_MISSED, print_json, say};
@@ -18,6 +20,7 @@ const EXAMPLES: &str = "\
 Examples:
   gadm eval runs/hopper-v5-seed0 --episodes 100
   gadm eval models/hopper-v5/policy.bin --episodes 20 --seed 7 --json
+  gadm eval models/hopper-v5/policy.bin --episodes 1 --render hop.gif
 
 A run folder is evaluated with its float networks, a policy file in the device runtime. The
 same seed gives both, and `gadm-sim run`, the same episodes.";
@@ -43,6 +46,12 @@ pub struct Args {
     /// Exit with 3 where the mean return is below X
     #[arg(long, value_name = "X", allow_negative_numbers = true)]
     min_return: Option<f64>,
+    /// Draw the first episode as an animated GIF
+    #[arg(long, value_name = "FILE.gif")]
+    render: Option<PathBuf>,
+    /// Width of the pictures of --render, pixels
+    #[arg(long, default_value_t = 480, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=2048))]
+    render_width: u32,
     /// Print the result as JSON on standard output
     #[arg(long)]
     json: bool,
@@ -66,8 +75,12 @@ struct Output<'a> {
     latent_counts: &'a [u64],
 }
 
-fn run(args: &Args) -> anyhow::Result<(&'static str, String, Evaluation)> {
+fn run(args: &Args, camera: Option<&Camera>) -> anyhow::Result<(&'static str, String, Evaluation)> {
     let episodes = args.episodes as usize;
+    let filmed = |env: Box<dyn Env>| match camera {
+        Some(camera) => camera.before(env),
+        None => env,
+    };
     if args.path.is_dir() {
         let mut trained = load_trained(&args.path, !args.last)?;
         let env = args.env.clone().unwrap_or_else(|| trained.config.env.clone());
@@ -84,20 +97,24 @@ fn run(args: &Args) -> anyhow::Result<(&'static str, String, Evaluation)> {
             }
         }
         let options = trained.config.env_options;
-        return Ok(("float", env.clone(), evaluate(&mut trained.agent, &env, &options, episodes, args.seed)?));
+        let mut envs = (0..episodes).map(|_| make_with(&env, &options)).collect::<Result<Vec<_>, _>>()?;
+        let first = filmed(envs.remove(0));
+        envs.insert(0, first);
+        return Ok(("float", env, evaluate_in(&mut trained.agent, envs, args.seed)));
     }
     let bytes = std::fs::read(&args.path)
         .with_context(|| format!("cannot read {}: give a run folder or a policy file", args.path.display()))?;
     let image = AlignedImage::new(&bytes);
     let policy = Policy::load(&image).map_err(|e| anyhow::anyhow!("{}: {e}", args.path.display()))?;
     let env = args.env.clone().unwrap_or_else(|| policy.provenance().environment.to_owned());
-    let evaluation = evaluate_policy(&bytes, &env, &EnvOptions::default(), episodes, args.seed)?;
+    let evaluation = evaluate_policy_in(&bytes, filmed(gadm_envs::make(&env)?), episodes, args.seed)?;
     Ok(("policy file", env, evaluation))
 }
 
 /// Runs `eval`.
 pub fn main(args: &Args) -> anyhow::Result<ExitCode> {
-    let (kind, env, evaluation) = run(args)?;
+    let camera = args.render.is_some().then(|| Camera::new(args.render_width));
+    let (kind, env, evaluation) = run(args, camera.as_ref())?;
     let n = evaluation.returns.len();
     let used = evaluation.latent_counts.iter().filter(|c| **c > 0).count();
     let success_rate = evaluation.successes.map(|s| s as f64 / n as f64);
@@ -109,6 +126,11 @@ pub fn main(args: &Args) -> anyhow::Result<ExitCode> {
         success_rate.map_or_else(String::new, |s| format!(", {:.1} % in the goal", 100.0 * s)),
         evaluation.latent_counts.len()
     ));
+    if let (Some(path), Some(shot)) = (&args.render, camera.and_then(|camera| camera.finish())) {
+        atomic::write(path, &shot.gif)?;
+        let part = if shot.cut { "the beginning of the first episode" } else { "the first episode" };
+        say(&format!("wrote {}: {part}, {}", path.display(), shot.pace));
+    }
     if args.json {
         print_json(&Output {
             version: 1,

@@ -1,12 +1,14 @@
 //! The command line. People read standard error, programs standard output; this is the only place that prints.
 
 mod bench;
+mod completions;
 mod doctor;
 mod env;
 mod eval;
 mod export;
 mod image;
 mod inspect;
+mod man;
 mod plot;
 mod report;
 mod train;
@@ -62,6 +64,10 @@ enum Command {
     Bench(bench::Command),
     /// Say what this machine can do, and how to get the rest
     Doctor(doctor::Args),
+    /// Write a script that completes commands in a shell
+    Completions(completions::Args),
+    /// Write manual pages
+    Man(man::Args),
 }
 
 /// Runs the program.
@@ -88,6 +94,8 @@ pub fn main() -> ExitCode {
         Command::Env(command) => env::main(&command),
         Command::Bench(command) => bench::main(&command),
         Command::Doctor(args) => doctor::main(&args),
+        Command::Completions(args) => completions::main(&args),
+        Command::Man(args) => man::main(&args),
     };
     match done {
         Ok(code) => code,

@@ -50,7 +50,13 @@ pub fn evaluate(
     episodes: usize,
     seed: u64,
 ) -> Result<Evaluation, TrainError> {
-    let mut envs: Vec<Box<dyn Env>> = (0..episodes).map(|_| make_with(env, options)).collect::<Result<_, _>>()?;
+    let envs = (0..episodes).map(|_| make_with(env, options)).collect::<Result<_, _>>()?;
+    Ok(evaluate_in(agent, envs, seed))
+}
+
+/// As [`evaluate`], in these environments: one for each episode, all alike, at least one.
+pub fn evaluate_in(agent: &mut Agent, mut envs: Vec<Box<dyn Env>>, seed: u64) -> Evaluation {
+    let episodes = envs.len();
     let spec = envs[0].spec().clone();
     let (obs_dim, slots) = (spec.obs_dim(), spec.action_dim());
     let mut obs = vec![0.0; episodes * obs_dim];
@@ -92,7 +98,7 @@ pub fn evaluate(
         running = still;
     }
     agent.mask_statistics = statistics;
-    Ok(result)
+    result
 }
 
 /// Runs `episodes` episodes of a policy file in the runtime, one after the other; episode seeds and sums as in [`evaluate`], so
@@ -107,6 +113,19 @@ pub fn evaluate_policy(
     episodes: usize,
     seed: u64,
 ) -> Result<Evaluation, TrainError> {
+    evaluate_policy_in(bytes, make_with(env, options)?, episodes, seed)
+}
+
+/// As [`evaluate_policy`], in this environment.
+///
+/// # Errors
+/// As [`evaluate_policy`].
+pub fn evaluate_policy_in(
+    bytes: &[u8],
+    mut env: Box<dyn Env>,
+    episodes: usize,
+    seed: u64,
+) -> Result<Evaluation, TrainError> {
     let image = AlignedImage::new(bytes);
     let policy = Policy::load(&image).map_err(|e| TrainError::Policy(e.to_string()))?;
     let float = if policy.spec().weights == WeightKind::Float32 {
@@ -114,7 +133,6 @@ pub fn evaluate_policy(
     } else {
         None
     };
-    let mut env = make_with(env, options)?;
     check_fit(&policy, env.spec())?;
     let spec = env.spec().clone();
     let mut result = Evaluation {

@@ -9,6 +9,6 @@ pub mod run;
 pub mod train;
 
 pub use agent::Agent;
-pub use evaluate::{Evaluation, check_fit, evaluate, evaluate_policy};
+pub use evaluate::{Evaluation, check_fit, evaluate, evaluate_in, evaluate_policy, evaluate_policy_in};
 pub use run::Run;
 pub use train::{Outcome, TrainOptions, train};
