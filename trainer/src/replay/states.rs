@@ -3,8 +3,8 @@
 //! Rows are recognised by their bits among those that were added last, so nothing upstream has to say which observation is
 //! which; a row that is not recognised is held a second time, which costs memory and changes nothing else.
 
-/// Rows that are allocated together.
-const CHUNK: usize = 1024;
+/// Numbers that are allocated together: 16 MiB, so that huge pages of the system round little up.
+const CHUNK: usize = 1 << 22;
 /// Slots of the table of rows added last, as a power of two.
 const RECENT_BITS: u32 = 12;
 const NONE: u32 = u32::MAX;
@@ -13,6 +13,8 @@ const NONE: u32 = u32::MAX;
 #[derive(Clone, Debug)]
 pub struct States {
     width: usize,
+    /// Rows of a chunk.
+    per_chunk: usize,
     chunks: Vec<Box<[f32]>>,
     uses: Vec<u16>,
     free: Vec<u32>,
@@ -23,7 +25,15 @@ pub struct States {
 impl States {
     /// An empty set of rows of `width` numbers.
     pub fn new(width: usize) -> Self {
-        Self { width, chunks: Vec::new(), uses: Vec::new(), free: Vec::new(), recent: vec![NONE; 1 << RECENT_BITS] }
+        let per_chunk = (CHUNK / width.max(1)).max(1);
+        Self {
+            width,
+            per_chunk,
+            chunks: Vec::new(),
+            uses: Vec::new(),
+            free: Vec::new(),
+            recent: vec![NONE; 1 << RECENT_BITS],
+        }
     }
 
     /// Numbers of a row.
@@ -36,8 +46,8 @@ impl States {
     /// # Panics
     /// Where there is none of that number.
     pub fn row(&self, row: u32) -> &[f32] {
-        let at = row as usize % CHUNK * self.width;
-        &self.chunks[row as usize / CHUNK][at..at + self.width]
+        let at = row as usize % self.per_chunk * self.width;
+        &self.chunks[row as usize / self.per_chunk][at..at + self.width]
     }
 
     /// Holds `values` for one more use, and returns their row.
@@ -60,16 +70,16 @@ impl States {
         }
         let row = self.free.pop().unwrap_or_else(|| {
             let row = self.uses.len();
-            if row.is_multiple_of(CHUNK) {
-                self.chunks.push(vec![0.0; CHUNK * self.width].into());
-                self.uses.reserve_exact(CHUNK);
+            if row.is_multiple_of(self.per_chunk) {
+                self.chunks.push(vec![0.0; self.per_chunk * self.width].into());
+                self.uses.reserve_exact(self.per_chunk);
             }
             self.uses.push(0);
             u32::try_from(row).ok().filter(|&row| row != NONE).expect("fewer than 2^32 - 1 rows")
         });
         self.uses[row as usize] = 1;
-        let at = row as usize % CHUNK * self.width;
-        self.chunks[row as usize / CHUNK][at..at + self.width].copy_from_slice(values);
+        let at = row as usize % self.per_chunk * self.width;
+        self.chunks[row as usize / self.per_chunk][at..at + self.width].copy_from_slice(values);
         self.recent[slot] = row;
         row
     }
@@ -85,7 +95,7 @@ impl States {
 
     /// Memory held, bytes.
     pub fn bytes(&self) -> usize {
-        let words = self.chunks.len() * CHUNK * self.width + self.free.capacity() + self.recent.len();
+        let words = self.chunks.len() * self.per_chunk * self.width + self.free.capacity() + self.recent.len();
         4 * words + 2 * self.uses.capacity()
     }
 }
