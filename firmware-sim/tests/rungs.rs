@@ -83,6 +83,42 @@ fn a_node_in_another_process_leaves_the_trace_of_one_in_process() {
 }
 
 #[test]
+fn a_scenario_with_faults_is_the_same_run_on_every_bus() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    policy_file(dir, "pendulum", 7);
+    let file = dir.join("bad-bus.toml");
+    let text = r#"
+        policy = "pendulum-7.bin"
+        episodes = 2
+        seed = 8
+        faults = [
+            { layer = "frame", kind = "drop", p = 0.05, only = ["OBS"] },
+            { layer = "frame", kind = "corrupt", p = 0.05 },
+            { layer = "frame", kind = "duplicate", p = 0.1 },
+            { layer = "frame", kind = "reorder", p = 0.1, within = 2 },
+            { layer = "frame", kind = "jitter", target = "plant", only = ["ACT"], ticks = 1 },
+            { layer = "sensor", kind = "nan", signals = ["angular_velocity"], window = [50, 60] },
+        ]
+        criteria = { action_bounds = true, max_action_age = 3 }
+    "#;
+    std::fs::write(&file, text).unwrap();
+    let run = ["run", file.to_str().unwrap()];
+    let here = traced(dir, "a.log", &run);
+    let there = traced(dir, "b.log", &[&run[..], &["--bus", "hub"]].concat());
+    assert!(here.len() > 1000 && here == there, "traces differ");
+    // What the command line says comes first, and a criterion that is missed has its exit code.
+    let other = traced(dir, "c.log", &[&run[..], &["--seed", "9"]].concat());
+    assert!(other != here);
+    let out = sim(&[&run[..], &["--min-return", "1e9", "--json", "--quiet"]].concat());
+    assert_eq!(out.status.code(), Some(3), "{}", stderr(&out));
+    assert!(stderr(&out).contains("missed: min_return"), "{}", stderr(&out));
+    let json: Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!(json["verdict"]["passed"].as_bool(), Some(false));
+    assert!(json["faults"].as_array().unwrap().iter().all(|f| f["injected"].as_u64().unwrap() > 0), "{json}");
+}
+
+#[test]
 fn every_way_into_a_hub_and_every_next_run_give_the_same_trace() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();

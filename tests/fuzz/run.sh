@@ -9,10 +9,12 @@ target="${CARGO_TARGET_DIR:-$PWD/target}"
 coverage="--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 \
 -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table \
 -Cllvm-args=-sanitizer-coverage-trace-compares -Ccodegen-units=1 -Clink-dead-code"
+names="load act roundtrip codec node slcan hub"
 # With --target the flags do not reach build scripts.
-RUSTFLAGS="$coverage" cargo build --quiet --release --target "$host" --target-dir "$target" --bin load --bin act --bin roundtrip --bin slcan --bin hub
+# shellcheck disable=SC2046 # one word a name
+RUSTFLAGS="$coverage" cargo build --quiet --release --target "$host" --target-dir "$target" $(printf -- '--bin %s ' $names)
 work="$target/fuzz"
-for name in load act roundtrip slcan hub; do
+for name in $names; do
     mkdir -p "$work/$name"
     log="$work/$name.log"
     if "$target/$host/release/$name" -max_total_time="$seconds" -max_len=8192 -rss_limit_mb=2048 -timeout=10 \

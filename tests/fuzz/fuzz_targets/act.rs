@@ -1,34 +1,16 @@
 //! Fixed policies, any observation, any scratch: an answer within bounds, the same whatever the memory held.
 #![no_main]
 
-use gadm_fuzz::Source;
-use gadm_runtime::encode::{AlignedImage, FileOptions, QuantiseOptions, quantise, write_int8};
+use gadm_fuzz::{Source, policies};
+use gadm_runtime::encode::AlignedImage;
 use gadm_runtime::{ActError, ActionHead, Policy, Scratch};
 use libfuzzer_sys::fuzz_target;
 use std::sync::OnceLock;
 
 static IMAGES: OnceLock<Vec<AlignedImage>> = OnceLock::new();
 
-/// The policies of sixteen fixed seeds.
-fn images() -> Vec<AlignedImage> {
-    (1u32..=16)
-        .filter_map(|seed| {
-            let mut state = seed;
-            let mut next = || {
-                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                (state >> 24) as u8 & 0x7F
-            };
-            let bytes: Vec<u8> = (0..3000).map(|_| next()).collect();
-            let model = Source(&bytes).model();
-            let obs = model.obs_mean.repeat(2);
-            let quantised = quantise(&model, &obs, &QuantiseOptions::default()).ok()?;
-            Some(AlignedImage::new(&write_int8(&quantised, &obs, &FileOptions::default()).ok()?))
-        })
-        .collect()
-}
-
 fuzz_target!(|data: &[u8]| {
-    let images = IMAGES.get_or_init(images);
+    let images = IMAGES.get_or_init(policies);
     let mut source = Source(data);
     let policy = Policy::load(&images[source.between(0, images.len() - 1)]).expect("written a moment ago");
     let spec = policy.spec();

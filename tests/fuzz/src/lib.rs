@@ -2,7 +2,8 @@
 
 use gadm_runtime::ActionHead;
 use gadm_runtime::encode::{
-    ActionSlot, Dense, FloatDecoder, FloatModel, HeadEncoding, Interface, ObservationSlot, ProvenanceOwned, Snap,
+    ActionSlot, AlignedImage, Dense, FileOptions, FloatDecoder, FloatModel, HeadEncoding, Interface, ObservationSlot,
+    ProvenanceOwned, QuantiseOptions, Snap, quantise, write_int8,
 };
 
 /// Numbers from bytes; zero once they are used up.
@@ -109,4 +110,22 @@ impl Source<'_> {
             provenance: ProvenanceOwned { environment: "fuzz".into(), ..ProvenanceOwned::default() },
         }
     }
+}
+
+/// The policies of sixteen fixed seeds.
+pub fn policies() -> Vec<AlignedImage> {
+    (1u32..=16)
+        .filter_map(|seed| {
+            let mut state = seed;
+            let mut next = || {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                (state >> 24) as u8 & 0x7F
+            };
+            let bytes: Vec<u8> = (0..3000).map(|_| next()).collect();
+            let model = Source(&bytes).model();
+            let obs = model.obs_mean.repeat(2);
+            let quantised = quantise(&model, &obs, &QuantiseOptions::default()).ok()?;
+            Some(AlignedImage::new(&write_int8(&quantised, &obs, &FileOptions::default()).ok()?))
+        })
+        .collect()
 }

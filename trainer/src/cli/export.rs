@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use gadm_node::Profile;
+use gadm_node::load::{BitRate, policy_load, proposal};
 use gadm_runtime::Policy;
 use gadm_runtime::encode::AlignedImage;
 use gadm_trainer::atomic;
@@ -62,6 +64,18 @@ pub struct Args {
     /// Largest loss of mean return, as a share of the float return
     #[arg(long, default_value_t = Limits::default().return_loss, value_name = "SHARE", help_heading = "Limits")]
     max_return_loss: f64,
+    /// Bus profile that the policy must fit: `fd-f32` or `classic-i16`
+    #[arg(long, default_value = "fd-f32", value_name = "PROFILE", help_heading = "Bus",
+          value_parser = ["fd-f32", "classic-i16"])]
+    profile: String,
+    /// Bit rate of classic frames and of the arbitration of FD frames, bit/s
+    #[arg(long, default_value_t = BitRate::default().nominal, value_name = "BPS", help_heading = "Bus",
+          value_parser = clap::value_parser!(u32).range(10_000..=1_000_000))]
+    bitrate: u32,
+    /// Bit rate of the data of FD frames, bit/s
+    #[arg(long, default_value_t = BitRate::default().data, value_name = "BPS", help_heading = "Bus",
+          value_parser = clap::value_parser!(u32).range(10_000..=8_000_000))]
+    data_bitrate: u32,
     /// Write even where a limit is missed
     #[arg(long, help_heading = "Limits")]
     force: bool,
@@ -137,6 +151,40 @@ fn table(exported: &Exported) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Load of the policy on a bus, a line for each profile. Returns why the chosen profile does not fit, and what does.
+fn bus_load(args: &Args, policy: &Policy) -> Option<String> {
+    let rate = BitRate { nominal: args.bitrate, data: args.data_bitrate };
+    let kbit = |rate: BitRate| format!("{}/{} kbit/s", rate.nominal / 1000, rate.data / 1000);
+    let mut refused = None;
+    for profile in Profile::ALL {
+        let reason = match policy_load(policy, profile, rate) {
+            Ok(load) => {
+                let excess = load.excess().map(|e| e.to_string());
+                let verdict = excess.as_ref().map_or_else(|| "fits".to_owned(), |e| format!("does not fit: {e}"));
+                say(&format!(
+                    "bus load {:12} {:6.1} % at {}, worst case: {verdict}",
+                    profile.name(),
+                    load.total_percent,
+                    kbit(rate)
+                ));
+                excess
+            }
+            Err(error) => Some(error.to_string()),
+        };
+        if profile.name() == args.profile {
+            refused = reason;
+        }
+    }
+    refused.map(|reason| {
+        let fits: Vec<_> = Profile::ALL
+            .iter()
+            .filter_map(|&p| proposal(policy, p).map(|(r, l)| format!("{} at {} ({:.0} %)", p.name(), kbit(r), l.total_percent)))
+            .collect();
+        let fits = if fits.is_empty() { "nothing at usual bit rates".to_owned() } else { fits.join("; ") };
+        format!("profile {} at {} does not fit: {reason}; what fits: {fits}", args.profile, kbit(rate))
+    })
+}
+
 /// Runs `export`.
 pub fn main(args: &Args) -> anyhow::Result<ExitCode> {
     let sil = args.sil.as_deref().map(sil_stats).transpose()?;
@@ -156,7 +204,10 @@ pub fn main(args: &Args) -> anyhow::Result<ExitCode> {
         action_error: args.max_action_error,
         return_loss: args.max_return_loss,
     };
-    let missed = limits.missed(&exported);
+    let mut missed = limits.missed(&exported);
+    let image = AlignedImage::new(&exported.bytes);
+    let policy = Policy::load(&image).map_err(|e| anyhow::anyhow!("{e}"))?;
+    missed.extend(bus_load(args, &policy));
     if args.json {
         print_json(&serde_json::json!({
             "version": 1,

@@ -6,7 +6,7 @@ use std::fs;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
-    for target in ["load", "act", "roundtrip"] {
+    for target in ["load", "act", "roundtrip", "codec", "node"] {
         fs::create_dir_all(root.join(target))?;
     }
     let mut state = 1u32;
@@ -29,6 +29,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
         fs::write(root.join(format!("roundtrip/{written}")), &seed[..200])?;
         fs::write(root.join(format!("act/{written}")), &seed[..48])?;
+        fs::write(root.join(format!("codec/{written}")), &seed[..160])?;
+        // RUN, then periods: most of what a node does happens in control.
+        let mut control = vec![seed[0], seed[1], seed[2], 6];
+        control.extend(&seed[..300]);
+        fs::write(root.join(format!("node/{written}")), control)?;
         written += 1;
     }
     Ok(())
