@@ -241,7 +241,9 @@ fn brief(signals: &Map<String, Value>) -> String {
 }
 
 fn object(properties: Map<String, Value>) -> Value {
-    json!({ "type": "object", "properties": properties })
+    let mut schema = json!({ "type": "object" });
+    schema["properties"] = Value::Object(properties);
+    schema
 }
 
 fn integers(names: &[&str]) -> Value {
@@ -249,7 +251,7 @@ fn integers(names: &[&str]) -> Value {
 }
 
 /// Schema of a value that may be missing.
-fn quantity(description: String, lo: f32, hi: f32) -> Value {
+fn quantity(description: &str, lo: f32, hi: f32) -> Value {
     let mut schema = json!({ "type": ["number", "null"], "description": description });
     if lo.is_finite() && hi.is_finite() {
         schema["minimum"] = crate::decode::number(lo);
@@ -264,7 +266,7 @@ fn observation_schema(policy: &Policy) -> Value {
     for s in policy.observation_signals() {
         // The range is the usual one, and not a limit: no minimum or maximum.
         let text = format!("observation in {}, usually {} to {}", s.unit, s.lo, s.hi);
-        properties.insert(s.name.to_owned(), quantity(text, f32::NEG_INFINITY, f32::INFINITY));
+        properties.insert(s.name.to_owned(), quantity(&text, f32::NEG_INFINITY, f32::INFINITY));
     }
     object(properties)
 }
@@ -278,7 +280,7 @@ fn action_schema(policy: &Policy) -> Value {
             ActionHead::Discrete { n } => (0.0, f32::from(n.saturating_sub(1))),
             ActionHead::Binary => (0.0, 1.0),
         };
-        properties.insert(s.name.to_owned(), quantity(format!("action in {}, safe value {}", s.unit, s.safe), lo, hi));
+        properties.insert(s.name.to_owned(), quantity(&format!("action in {}, safe value {}", s.unit, s.safe), lo, hi));
     }
     object(properties)
 }

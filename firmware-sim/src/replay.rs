@@ -118,7 +118,7 @@ impl Link for Tape {
 type Key = (u32, u32, u32);
 
 /// Collects the action sets of one side.
-struct Sets<'l> {
+struct Assembly<'l> {
     layout: &'l Layout,
     sets: BTreeMap<Key, ActionSet>,
     names: Vec<String>,
@@ -127,7 +127,7 @@ struct Sets<'l> {
     damaged: u64,
 }
 
-impl<'l> Sets<'l> {
+impl<'l> Assembly<'l> {
     fn new(layout: &'l Layout, names: &[String]) -> Self {
         Self { layout, sets: BTreeMap::new(), names: names.to_vec(), decision: None, open: None, damaged: 0 }
     }
@@ -148,7 +148,7 @@ impl<'l> Sets<'l> {
             Ok((header, part)) => {
                 let tick = tick_of(header.seq);
                 if part.part == 0 || self.open.is_none_or(|(r, t, _)| (r, t) != (round, tick)) {
-                    let nth = (0..).find(|&n| !self.sets.contains_key(&(round, tick, n))).unwrap_or(0);
+                    let nth = (0..=u32::MAX).find(|&n| !self.sets.contains_key(&(round, tick, n))).unwrap_or(0);
                     let said = self.decision.take().filter(|(t, ..)| *t == tick);
                     let (latent, flags) = said.map_or((header.latent, header.flags), |(_, l, f)| (l, f));
                     let set = ActionSet {
@@ -219,7 +219,7 @@ pub fn replay(image: &[u8], records: &[Record], options: &ReplayOptions) -> Resu
     }
     node.link_mut().from_node.clear();
 
-    let (mut recorded, mut replayed) = (Sets::new(&layout, &names), Sets::new(&layout, &names));
+    let (mut recorded, mut replayed) = (Assembly::new(&layout, &names), Assembly::new(&layout, &names));
     let (mut round, mut tick, mut ticks, mut given) = (0, None, 0, 0);
     for (time_us, frame) in frames.iter().skip(skip) {
         let (time_us, from_node) = (*time_us, is_from(frame, node_id));
@@ -272,8 +272,8 @@ pub fn replay(image: &[u8], records: &[Record], options: &ReplayOptions) -> Resu
 }
 
 fn compare(
-    mut recorded: Sets,
-    replayed: Sets,
+    mut recorded: Assembly,
+    replayed: Assembly,
     names: &[String],
     last: (u32, u32),
     result: impl FnOnce(u64, u64, u64, Option<Difference>) -> Replay,

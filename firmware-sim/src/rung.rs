@@ -80,6 +80,7 @@ impl Rung {
     ///
     /// # Errors
     /// [`SimError::Remote`] where the bus is not there, no node comes, or it has another policy.
+    #[expect(clippy::needless_pass_by_value, reason = "the work memory in it goes to the node for good")]
     pub fn target<'p, L: Link + 'p>(
         &self,
         link: L,

@@ -170,7 +170,7 @@ pub fn soak(options: &Options, progress: &mut dyn FnMut(u64)) -> Result<Soak, Si
     let failed =
         |e: &dyn std::fmt::Display| SimError::Remote { bus: format!("unix:{}", path.display()), what: e.to_string() };
     // Nobody may be faster than the slowest: then a frame that is missing was lost.
-    let hub_options = HubOptions { slow: Slow::Wait(Duration::from_secs(60)), ..HubOptions::default() };
+    let hub_options = HubOptions { slow: Slow::Wait(Duration::from_mins(1)), ..HubOptions::default() };
     let mut hub = Hub::new(hub_options, None, |_| {});
     hub.listen_unix(&path).map_err(|e| failed(&e))?;
     let open = || SlcanStream::open(&Address::Unix(path.clone()), run.bit_rate).map_err(|e| failed(&e));
@@ -371,7 +371,9 @@ mod tests {
         let frames: Vec<Frame> = (0..5).map(|tick| Tick { tick, time_us: 0 }.frame()).collect();
         let flow = |order: &[usize]| {
             let mut flow = Flow::default();
-            order.iter().for_each(|i| flow.count(&frames[*i]));
+            for i in order {
+                flow.count(&frames[*i]);
+            }
             flow
         };
         assert_eq!(flow(&[0, 1, 2, 3, 4]).tick_jumps, 0);

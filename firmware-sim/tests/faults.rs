@@ -72,7 +72,7 @@ fn faults_of_the_plant_change_its_motion_and_end_with_the_window() {
         let result = with("[0]");
         assert!(result.faults[0].injected > 0, "{r:?}");
         // A pole on a hinge touches nothing, so friction changes nothing.
-        assert_eq!(result.returns() != clean.returns() || r.kind == "friction", true, "{r:?}");
+        assert!(result.returns() != clean.returns() || r.kind == "friction", "{r:?}");
         assert_eq!(with("[500, 501]").returns(), clean.returns(), "{r:?}: after the end of every episode");
     }
 }

@@ -113,7 +113,7 @@ impl Peer {
 
     #[expect(clippy::disallowed_methods, reason = "the guard of a test that waits for an emulator")]
     fn wait<T>(&mut self, what: &str, found: impl Fn(&Frame) -> Option<T>) -> T {
-        let end = Instant::now() + Duration::from_secs(60);
+        let end = Instant::now() + Duration::from_mins(1);
         let mut frame = Frame::empty();
         while Instant::now() < end {
             while self.bus.receive(&mut frame).unwrap() {

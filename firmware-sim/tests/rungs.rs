@@ -213,8 +213,8 @@ fn hostile_slow_and_vanishing_members_change_nothing() {
     slow.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
     let mut bytes = Vec::new();
     let _ = slow.read_to_end(&mut bytes);
-    let lines = bytes.iter().filter(|&&b| b == b'\r').count();
-    let frames = here.iter().filter(|&&b| b == b'\n').count();
+    let lines = bytes.split(|&b| b == b'\r').count() - 1;
+    let frames = here.split(|&b| b == b'\n').count() - 1;
     assert!(lines > 100 && lines < frames + 10_000, "{lines} of {frames}");
 }
 

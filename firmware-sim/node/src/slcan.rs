@@ -385,7 +385,6 @@ impl Adapter {
                 frame = Some(f);
                 DONE
             }
-            Command::Frame(_) => REFUSED,
             Command::Open | Command::Listen => {
                 (self.open, self.listen_only) = (true, command == Command::Listen);
                 DONE
@@ -395,7 +394,7 @@ impl Adapter {
                 DONE
             }
             Command::BitRate(_) | Command::DataRate(_) | Command::BitTiming(..) if self.open => REFUSED,
-            Command::BitRate(9) => REFUSED,
+            Command::Frame(_) | Command::BitRate(9) => REFUSED,
             Command::BitRate(_) | Command::DataRate(_) | Command::BitTiming(..) | Command::Empty => DONE,
             Command::Timestamps(on) => {
                 self.timestamps = on;

@@ -249,7 +249,7 @@ mod tests {
     fn a_line_without_end_does_not_grow() {
         let mut hub = Exchange::new(Limits::default());
         let a = hub.join(true).unwrap();
-        hub.receive(a, &[b't'; 1 << 20], 0, &mut |_| {});
+        hub.receive(a, &vec![b't'; 1 << 20], 0, &mut |_| {});
         hub.receive(a, b"\rV\r", 0, &mut |_| {});
         assert_eq!(text(&mut hub, a), "!V1013/");
     }

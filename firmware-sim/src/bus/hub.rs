@@ -300,7 +300,7 @@ impl Hub {
         self.terminals.push(other);
         let master = File::from(master);
         let writer = master.try_clone()?;
-        serve(&self.shared, master, writer, Hangup::No, format!("pty:{}", path.display()));
+        serve(&self.shared, master, writer, Hangup::No, &format!("pty:{}", path.display()));
         Ok(path)
     }
 
@@ -401,7 +401,7 @@ fn serve_unix(shared: &Arc<Shared>, stream: UnixStream) {
     else {
         return;
     };
-    serve(shared, stream, writer, Hangup::Unix(hangup), "unix".to_owned());
+    serve(shared, stream, writer, Hangup::Unix(hangup), "unix");
 }
 
 fn serve_tcp(shared: &Arc<Shared>, stream: TcpStream, peer: SocketAddr) {
@@ -409,7 +409,7 @@ fn serve_tcp(shared: &Arc<Shared>, stream: TcpStream, peer: SocketAddr) {
     let (Ok(()), Ok(writer), Ok(hangup)) = (set, stream.try_clone(), stream.try_clone()) else {
         return;
     };
-    serve(shared, stream, writer, Hangup::Tcp(hangup), format!("tcp:{peer}"));
+    serve(shared, stream, writer, Hangup::Tcp(hangup), &format!("tcp:{peer}"));
 }
 
 fn join(shared: &Shared, open: bool, hangup: Hangup, from: &str) -> Option<Id> {
@@ -424,12 +424,12 @@ fn join(shared: &Shared, open: bool, hangup: Hangup, from: &str) -> Option<Id> {
     Some(member)
 }
 
-fn serve<R, W>(shared: &Arc<Shared>, mut reader: R, mut writer: W, hangup: Hangup, from: String)
+fn serve<R, W>(shared: &Arc<Shared>, mut reader: R, mut writer: W, hangup: Hangup, from: &str)
 where
     R: Read + AsFd + Send + 'static,
     W: Write + Send + 'static,
 {
-    let Some(member) = join(shared, false, hangup, &from) else { return };
+    let Some(member) = join(shared, false, hangup, from) else { return };
     let ours = Arc::clone(shared);
     thread::spawn(move || {
         let mut bytes = vec![0; CHUNK];

@@ -30,6 +30,7 @@ Exit codes: 0 ok, 1 error, 2 usage, 4 something is missing here.";
 /// Arguments of `flash`.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
+#[expect(clippy::struct_excessive_bools, reason = "flags of a command line")]
 pub(crate) struct Args {
     /// Policy file
     policy: PathBuf,

@@ -34,6 +34,7 @@ for this machine only unless --allow-remote is given. Ctrl-C ends the hub.";
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 #[group(id = "ways", required = true, multiple = true, args = ["unix", "tcp", "pty"])]
+#[expect(clippy::struct_excessive_bools, reason = "flags of a command line")]
 pub(crate) struct Args {
     /// Listen on a unix socket, which only this user may open
     #[arg(long, value_name = "PATH")]

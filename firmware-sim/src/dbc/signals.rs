@@ -56,7 +56,7 @@ fn unique_name(text: &str, taken: &BTreeSet<String>) -> String {
     if free(&plain) {
         return plain;
     }
-    (2_u32..)
+    (2..=u32::MAX)
         .map(|n| {
             let end = format!("_{n}");
             let room = NAME_LIMIT - end.len();

@@ -299,6 +299,9 @@ impl Injector {
     }
 
     /// After an episode: nothing acts; returns where it hit first, and all spans.
+    ///
+    /// # Errors
+    /// [`SimError::Plant`] where the plant cannot be set back.
     pub fn end_episode(&mut self, env: &mut dyn Env) -> Result<(Option<u64>, Vec<Span>), SimError> {
         let mut shared = self.shared.borrow_mut();
         shared.running = false;
@@ -331,12 +334,10 @@ impl Injector {
             let mut shared = self.shared.borrow_mut();
             let active = shared.active(fault.window);
             match &fault.kind {
-                Kind::Node(NodeFault::Reset { ticks, every }) => {
-                    if shared.strikes(index, fault.window, *every) {
-                        shared.hit(index, 1);
-                        shared.dark_until = shared.now + u64::from(*ticks);
-                        cycle = true;
-                    }
+                Kind::Node(NodeFault::Reset { ticks, every }) if shared.strikes(index, fault.window, *every) => {
+                    shared.hit(index, 1);
+                    shared.dark_until = shared.now + u64::from(*ticks);
+                    cycle = true;
                 }
                 Kind::Node(NodeFault::ClockDrift { ppm }) if active => {
                     self.drift_us += ppm * 1e-6 * self.period_ns as f64 / 1000.0;

@@ -226,7 +226,7 @@ mod tests {
         let mut pace = Pace::new(100.0, 50_000); // half a millisecond by the wall
         for i in 0..20 {
             pace.begin(i * 50_000);
-            assert!(pace.end() > now() - Duration::from_secs(60));
+            assert!(pace.end() + Duration::from_mins(1) > now());
             pace.answered(i % 2 == 0);
         }
         pace.zero -= Duration::from_secs(1);

@@ -231,11 +231,9 @@ impl<L: Link> Remote<L> {
             return Ok(());
         }
         let tick = self.forward()?;
-        if tick {
-            if let Some(pace) = &mut self.pace {
-                pace.begin(now_us);
-                self.local.set_time(pace.now_us());
-            }
+        if tick && let Some(pace) = &mut self.pace {
+            pace.begin(now_us);
+            self.local.set_time(pace.now_us());
         }
         let flushed = self.bus.flush();
         self.io(flushed)?;

@@ -149,7 +149,7 @@ fn lockstep_session(
     let mut node = ControlNode::new(config, port, image, scratch);
     let mut frame = Frame::empty();
     loop {
-        node.link_mut().bus.wait(Duration::from_secs(3600))?;
+        node.link_mut().bus.wait(Duration::from_hours(1))?;
         while node.link_mut().hear(&mut frame)? {
             match lockstep::parse_request(&frame, config.node) {
                 Some(Request { op: lockstep::OP_START, tag, .. }) if Some(tag) != start => return Ok(tag),

@@ -40,7 +40,7 @@ pub(crate) fn encode(address: u32, bytes: &[u8]) -> Result<Vec<u8>, ImageError> 
 
 pub(crate) fn decode(content: &[u8]) -> Result<Vec<Segment>, ImageError> {
     let text = std::str::from_utf8(content).map_err(|error| {
-        let line = 1 + content[..error.valid_up_to()].iter().filter(|byte| **byte == b'\n').count();
+        let line = content[..error.valid_up_to()].split(|byte| *byte == b'\n').count();
         damaged(format!("line {line}"), &"a byte that is no text")
     })?;
     let options = ReaderOptions { stop_after_first_error: true, stop_after_eof: true };

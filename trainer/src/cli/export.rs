@@ -178,7 +178,9 @@ fn bus_load(args: &Args, policy: &Policy) -> Option<String> {
     refused.map(|reason| {
         let fits: Vec<_> = Profile::ALL
             .iter()
-            .filter_map(|&p| proposal(policy, p).map(|(r, l)| format!("{} at {} ({:.0} %)", p.name(), kbit(r), l.total_percent)))
+            .filter_map(|&p| {
+                proposal(policy, p).map(|(r, l)| format!("{} at {} ({:.0} %)", p.name(), kbit(r), l.total_percent))
+            })
             .collect();
         let fits = if fits.is_empty() { "nothing at usual bit rates".to_owned() } else { fits.join("; ") };
         format!("profile {} at {} does not fit: {reason}; what fits: {fits}", args.profile, kbit(rate))
