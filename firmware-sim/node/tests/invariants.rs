@@ -6,7 +6,7 @@ mod support;
 use gadm_node::frame::{extended, standard};
 use gadm_node::protocol::NO_LATENT;
 use gadm_node::safety::{HOLD_LIMIT, TRANSITIONS};
-use gadm_node::service::{Mode, ModeCommand, Tick};
+use gadm_node::service::{Estop, Mode, ModeCommand, Tick};
 use gadm_node::{Fault, Flags, Frame, Profile, State, TimeSource};
 use gadm_runtime::ActionHead;
 use proptest::prelude::*;
@@ -158,10 +158,31 @@ fn legal(value: f32, head: ActionHead) -> bool {
     }
 }
 
-/// States that an arrow, or a chain of two within one poll, leads to.
-fn reachable(from: State, to: State) -> bool {
-    let arrow = |a: State, b: State| a == b || TRANSITIONS.iter().any(|t| t.from == a && t.to == b);
-    State::ALL.into_iter().any(|m| arrow(from, m) && State::ALL.into_iter().any(|n| arrow(m, n) && arrow(n, to)))
+/// States that a chain of at most `arrows` within one poll leads to.
+fn reachable(from: State, to: State, arrows: usize) -> bool {
+    from == to || (arrows > 0 && TRANSITIONS.iter().any(|t| t.from == from && reachable(t.to, to, arrows - 1)))
+}
+
+/// Frames that came while the node booted: it takes them all with the next poll.
+struct Waiting {
+    frames: usize,
+    ticks: u32,
+    /// RUN or ESTOP, which lead from READY to where actions are sent.
+    control: bool,
+    reset: bool,
+}
+
+impl Waiting {
+    fn of(rig: &Rig) -> Self {
+        let rx = &rig.wire.borrow().rx;
+        let mode = |command| rx.iter().any(|f| Mode::parse(f).is_some_and(|m| m.command == command));
+        Self {
+            frames: rx.len(),
+            ticks: rx.iter().filter(|f| Tick::parse(f).is_some()).count() as u32,
+            control: mode(ModeCommand::Run) || rx.iter().any(|f| Estop::parse(f).is_some()),
+            reset: mode(ModeCommand::Reset),
+        }
+    }
 }
 
 fn check(profile: Profile, time: TimeSource, ops: &[Op]) -> Result<(), TestCaseError> {
@@ -170,11 +191,20 @@ fn check(profile: Profile, time: TimeSource, ops: &[Op]) -> Result<(), TestCaseE
     let (mut seen_acts, mut sets, mut last_act_seq) = (rig.acts.len(), 0_u32, None);
     let (mut alive_us, mut before) = (rig.now, rig.status);
     let mut since_good = 0_u32;
+    // In lockstep there is no time before the first TICK since the boot, and no action that could grow old.
+    let mut clock = time == TimeSource::Local;
     for op in ops {
+        let waiting = Waiting::of(&rig);
+        prop_assert!(
+            waiting.frames == 0 || matches!(before.state, State::Boot | State::SelfTest | State::Ready),
+            "frames wait in {:?}",
+            before.state
+        );
         apply(&mut rig, op);
         let now = rig.status;
-        prop_assert!(reachable(before.state, now.state), "{:?} to {:?} by {op:?}", before.state, now.state);
-        let reset = matches!(op, Op::Mode(ModeCommand::Reset)) || before.state == State::Boot;
+        let arrows = 3 + waiting.frames.min(3); // six arrows lead wherever any number does
+        prop_assert!(reachable(before.state, now.state, arrows), "{:?} to {:?} by {op:?}", before.state, now.state);
+        let reset = matches!(op, Op::Mode(ModeCommand::Reset)) || before.state == State::Boot || waiting.reset;
         for act in &rig.acts[seen_acts..] {
             for (&v, head) in act.values.iter().zip(HEADS) {
                 prop_assert!(legal(v, head), "{v} is not legal for {head:?}");
@@ -194,6 +224,7 @@ fn check(profile: Profile, time: TimeSource, ops: &[Op]) -> Result<(), TestCaseE
         let new = (rig.acts.len() - seen_acts) as u32;
         if matches!(before.state, State::Boot | State::SelfTest | State::NoPolicy | State::Ready)
             && matches!(now.state, State::Boot | State::SelfTest | State::NoPolicy | State::Ready)
+            && !waiting.control
         {
             prop_assert_eq!(new, 0, "actions without control in {:?}", now.state);
         }
@@ -229,8 +260,15 @@ fn check(profile: Profile, time: TimeSource, ops: &[Op]) -> Result<(), TestCaseE
             }
             prop_assert!(c.held <= c.missed, "what is held was missed: {c:?}");
         }
-        if now.state != State::Run || before.state != State::Run || c.acted > b.acted {
+        if now.state != State::Run || before.state != State::Run || c.acted > b.acted || !clock {
             alive_us = rig.now;
+        }
+        let ticks =
+            matches!(op, Op::Period | Op::Silent | Op::Invalid | Op::Early | Op::Torn | Op::Damaged | Op::AnyTick(..));
+        if matches!(now.state, State::Boot | State::SelfTest) {
+            clock = time == TimeSource::Local;
+        } else {
+            clock |= (ticks && !rig.wire.borrow().off) || waiting.ticks > 0;
         }
         if time == TimeSource::Local && now.state == State::Run {
             let silent = rig.now - alive_us;
@@ -256,11 +294,40 @@ fn check(profile: Profile, time: TimeSource, ops: &[Op]) -> Result<(), TestCaseE
         if !reset {
             // Counters tell one story: what was entered was sent, what was decided was not missed.
             prop_assert!(c.held <= c.missed && c.clipped <= c.acted && c.fallback <= c.acted, "{c:?}");
-            prop_assert!(c.acted - b.acted <= 1 + u32::from(matches!(op, Op::Any { .. })), "two decisions at once");
+            let most = 1 + u32::from(matches!(op, Op::Any { .. })) + waiting.ticks;
+            prop_assert!(c.acted - b.acted <= most, "{} decisions for {most} ticks", c.acted - b.acted);
         }
         before = now;
     }
     Ok(())
+}
+
+const RESET: Op = Op::Mode(ModeCommand::Reset);
+const RUN: Op = Op::Mode(ModeCommand::Run);
+const STOP: Op = Op::Mode(ModeCommand::Stop);
+
+/// What random operations found once.
+#[test]
+fn found_before() {
+    let found: [&[Op]; 7] = [
+        // The first TICK comes late: the node has sent nothing yet, and its time in lockstep begins there ...
+        &[Op::Skip(3), Op::Torn, Op::Silent, Op::Silent, Op::Silent],
+        &[Op::Wait(22_001), Op::Torn, Op::Silent, Op::Silent],
+        // ... but not for the ticks after it.
+        &[Op::Skip(3), Op::Period, Op::Wait(2 * T), Op::Torn, Op::Wait(2 * T), Op::Silent],
+        &[RESET, Op::Wait(0), RUN, Op::Wait(40_000), Op::Silent, Op::Wait(20_000), Op::Silent, Op::Silent],
+        // Frames that wait while the node boots are taken in one poll.
+        &[RESET, RESET, RUN, Op::Period, Op::Period],
+        &[RESET, RUN, Op::Period, STOP],
+        &[RESET, RESET, RUN, Op::Period, STOP, RESET, RESET, RESET, Op::BusOff, Op::BusOn],
+    ];
+    for ops in found {
+        for profile in Profile::ALL {
+            for time in [TimeSource::Tick, TimeSource::Local] {
+                check(profile, time, ops).unwrap();
+            }
+        }
+    }
 }
 
 proptest! {
