@@ -33,25 +33,28 @@ fn humanoid_does_not_fit_classic_and_the_answer_says_what_does() {
     let out = sim(&["bus", "load", &policy, "--profile", "classic-i16", "--bitrate", "500000", "--json"]);
     assert_eq!(out.status.code(), Some(3), "{}", stderr(&out));
     let text = stderr(&out);
-    for words in ["376 observations", "238", "does not fit: bus load", "fd-f32 at 1000/5000 kbit/s"] {
+    for words in ["376 observations", " 237.6 ", "does not fit: bus load", "fd-f32 at 500/5000 kbit/s"] {
         assert!(text.contains(words), "{words}: {text}");
     }
     let json: Value = serde_json::from_slice(&out.stdout).unwrap();
     let row = &json["profiles"][0];
-    assert!((row["load"]["sets_percent"].as_f64().unwrap() - 238.0).abs() < 1.2, "{row}");
+    // 126 observation and 6 action frames of 135 bits, 2 us each, in 15 ms.
+    assert!((row["load"]["sets_percent"].as_f64().unwrap() - 237.6).abs() < 1e-9, "{row}");
     assert_eq!((row["fits"].as_bool(), row["load"]["observation_frames"].as_u64()), (Some(false), Some(126)));
     assert_eq!(json["proposals"].as_array().unwrap().len(), 1, "no classic bit rate will do");
     assert_eq!(json["proposals"][0]["profile"], "fd-f32");
 
-    // What it proposes, it accepts.
-    let fast = ["--bitrate", "1000000", "--data-bitrate", "5000000"];
-    let out = sim(&[&["bus", "load", &policy][..], &fast].concat());
-    assert_eq!(out.status.code(), Some(0), "{}", stderr(&out));
+    // What it proposes, it accepts; the next slower one, which it passed over, it does not.
+    for (data_rate, code) in [("5000000", 0), ("2000000", 3)] {
+        let rates = ["--profile", "fd-f32", "--bitrate", "500000", "--data-bitrate", data_rate];
+        let out = sim(&[&["bus", "load", &policy][..], &rates].concat());
+        assert_eq!(out.status.code(), Some(code), "{data_rate}: {}", stderr(&out));
+    }
 
     // A run asks the same question first.
     let out = sim(&["run", &policy, "--episodes", "1", "--profile", "classic-i16"]);
     assert_eq!(out.status.code(), Some(3), "{}", stderr(&out));
-    for words in ["does not fit: bus load", "fd-f32 at 1000/5000 kbit/s", "--allow-overload"] {
+    for words in ["does not fit: bus load", "fd-f32 at 500/5000 kbit/s", "--allow-overload"] {
         assert!(stderr(&out).contains(words), "{words}: {}", stderr(&out));
     }
     let out = sim(&["run", &policy, "--episodes", "1", "--profile", "classic-i16", "--allow-overload"]);

@@ -4,6 +4,7 @@
 mod support;
 
 use gadm_node::codec::Layout;
+use gadm_node::load::BitRate;
 use gadm_node::service::Tick;
 use gadm_node::{Frame, NodeId, Profile};
 use gadm_runtime::Policy;
@@ -21,7 +22,9 @@ fn policy(id: &str, seed: u64) -> AlignedImage {
 /// The trace of a run, through its text.
 fn recorded(id: &str, image: &[u8], profile: Profile) -> Vec<Record> {
     let recorder = Recorder::default();
-    let options = RunOptions { episodes: 2, seed: 4, profile, ..RunOptions::new("test") };
+    // Twenty action values every 5 ms (hard-move-10) do not fit a classic bus of 500 kbit/s.
+    let bit_rate = BitRate { nominal: 1_000_000, ..BitRate::default() };
+    let options = RunOptions { episodes: 2, seed: 4, profile, bit_rate, ..RunOptions::new("test") };
     let env = gadm_envs::make(id).unwrap();
     simulate(&options, image, env, Some(Box::new(recorder.clone())), &mut |_| {}).unwrap();
     let line = |(time_us, frame): (u64, Frame)| {

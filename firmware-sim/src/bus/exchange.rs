@@ -239,8 +239,16 @@ mod tests {
         assert_eq!(hub.counts(quick).map(|c| (c.received, c.dropped)), Some((10, 0)));
         assert_eq!((hub.crowded(a, 1), hub.crowded(slow, 1)), (Some(slow), Some(a))); // a never read its answers
         // Commands of a member whose queue is full have their effect, their answers are lost.
+        hub.receive(slow, b"Z1\r", 0, &mut |_| {});
+        assert_eq!(hub.queued(slow), 4);
+        let mut line = Vec::new();
+        hub.take(slow, &mut line, 1);
+        assert_eq!(line, b"t00000000\r", "stamped");
+        // Closing drops the frames that wait, not the answers, and so makes room for its own.
+        hub.receive(slow, b"t0000\r", 0, &mut |_| {});
+        assert_eq!(hub.queued(slow), 4);
         hub.receive(slow, b"C\r", 0, &mut |_| {});
-        assert_eq!(hub.queued(slow), 0);
+        assert_eq!(text(&mut hub, slow), "//");
         hub.receive(a, b"t0000\r", 0, &mut |_| {});
         assert_eq!(hub.counts(slow).map(|c| (c.received, c.dropped)), Some((4, 6)));
     }
