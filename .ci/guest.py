@@ -131,7 +131,8 @@ class Archive:
         listed = subprocess.run(["ldd", source], capture_output=True, text=True).stdout
         if "not found" in listed:
             raise NotRun(f"{source} lacks libraries: {listed}")
-        for path in re.findall(r"(/\S+) \(0x", listed):
+        # A path may hold spaces.
+        for path in re.findall(r"(?:^\s*|=> )(/.+?) \(0x", listed, re.MULTILINE):
             self.file(path)
             # A path relative to the program means another folder here.
             self.file(path, f"lib/{os.uname().machine}-linux-gnu/{os.path.basename(path)}")

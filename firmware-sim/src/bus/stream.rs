@@ -26,7 +26,7 @@ const INBOX: usize = 1 << 16;
 const OUTBOX: usize = 1 << 20;
 
 /// How long an adapter may take to answer when it is opened.
-const OPENING: Duration = Duration::from_secs(3);
+const OPENING: Duration = Duration::from_secs(10);
 
 /// Speed of a serial device, bit/s. USB adapters ignore it.
 const BAUD: u32 = 115_200;

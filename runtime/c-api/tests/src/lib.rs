@@ -92,7 +92,7 @@ pub fn observations(policy: &Policy<'_>, steps: usize) -> Observations {
     let obs_dim = usize::from(policy.spec().obs_dim);
     let integers = (0..steps * obs_dim).map(|_| (next() & 0xFFFF) as u16).map(|word| {
         // Three of four within 12 bits, the others beyond.
-        if word & 3 == 0 { word.cast_signed() } else { word.cast_signed() >> 4 }
+        if word.is_multiple_of(4) { word.cast_signed() } else { word.cast_signed() >> 4 }
     });
     Observations { obs_dim, integers: integers.collect(), floats }
 }
