@@ -27,6 +27,10 @@ const OUTBOX: usize = 1 << 20;
 
 /// How long an adapter may take to answer when it is opened.
 const OPENING: Duration = Duration::from_secs(10);
+/// After which time without an answer the opening is said again.
+const RETRY: Duration = Duration::from_secs(1);
+/// Time without a byte after which no answer to an earlier try is expected.
+const QUIET: Duration = Duration::from_millis(200);
 
 /// Speed of a serial device, bit/s. USB adapters ignore it.
 const BAUD: u32 = 115_200;
@@ -63,19 +67,33 @@ impl SlcanStream {
             Err(error) if hardware => return Err(error),
             Err(_) => "C\rO\r".to_owned(), // a hub has no bit rate
         };
-        stream.outbox.extend_from_slice(letters.as_bytes());
-        stream.outbox.extend_from_slice(b"V\r");
-        // The version is answered after everything before it: the channel is open then.
-        let deadline = deadline(OPENING);
+        // The version is answered after everything before it: the channel is open then. A board that still boots loses
+        // what comes, so it is said again.
+        let end = deadline(OPENING);
+        let mut tries = 0;
         while !stream.answered {
-            stream.flush()?;
-            stream.read_available()?;
-            let left = left(deadline).ok_or_else(|| {
-                io::Error::new(ErrorKind::TimedOut, "what is there does not answer as an SLCAN adapter does")
-            })?;
-            if !stream.answered {
-                stream.wait(left)?;
+            stream.outbox.extend_from_slice(letters.as_bytes());
+            stream.outbox.extend_from_slice(b"V\r");
+            tries += 1;
+            let again = deadline(RETRY);
+            while !stream.answered
+                && let Some(left) = left(again)
+            {
+                stream.flush()?;
+                stream.read_available()?;
+                if !stream.answered {
+                    stream.wait(left)?;
+                }
             }
+            if !stream.answered && left(end).is_none() {
+                let what = "what is there does not answer as an SLCAN adapter does";
+                return Err(io::Error::new(ErrorKind::TimedOut, what));
+            }
+        }
+        // Answers to the other tries may still be under way, and what was said while the channel was closed is lost.
+        let end = deadline(RETRY);
+        while tries > 1 && left(end).is_some() && stream.ready(PollFlags::IN, QUIET)?.contains(PollFlags::IN) {
+            stream.read_available()?;
         }
         stream.inbox.clear();
         Ok(stream)
