@@ -3,7 +3,7 @@
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use super::checkpoint;
 use super::evaluate::{Evaluation, evaluate};
@@ -80,11 +80,15 @@ impl Sinks {
 fn lock(dir: &Path) -> Result<File, TrainError> {
     let path = dir.join(LOCK_FILE);
     let file = File::create(&path).map_err(TrainError::io("create", &path))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => Err(TrainError::RunLocked { path: dir.to_owned() }),
-        Err(TryLockError::Error(source)) => Err(TrainError::io("lock", &path)(source)),
+    // A program that this process starts holds a copy of the lock for the moment until it runs: wait a little.
+    for _ in 0..20 {
+        match file.try_lock() {
+            Ok(()) => return Ok(file),
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(50)),
+            Err(TryLockError::Error(source)) => return Err(TrainError::io("lock", &path)(source)),
+        }
     }
+    Err(TrainError::RunLocked { path: dir.to_owned() })
 }
 
 /// Starts or resumes. The file is the lock on the folder.
