@@ -65,25 +65,25 @@ fn equal(machine: Machine, name: &str, plant: &str, steps: u32, at_least: usize)
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware; stage `firmware` of .ci/test.py"]
+#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn inverted_pendulum_on_a_cortex_m4_sends_the_frames_of_the_run_in_process() {
     equal(Machine::Mps2An386, "inverted-pendulum-v5", "inverted-pendulum-v5", 400, 1200);
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware; stage `firmware` of .ci/test.py"]
+#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn hopper_on_a_cortex_m4_sends_the_frames_of_the_run_in_process() {
     equal(Machine::Mps2An386, "hopper-v5", "hopper-v5", 300, 900);
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware; stage `firmware` of .ci/test.py"]
+#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn moving_on_a_cortex_m4_sends_the_frames_of_the_run_in_process() {
     equal(Machine::Mps2An386, "moving", "moving", 300, 150);
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware; stage `firmware` of .ci/test.py"]
+#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn hopper_on_a_cortex_m7_and_on_an_stm32f405_sends_the_frames_of_the_run_in_process() {
     for machine in [Machine::Mps2An500, Machine::NetduinoPlus2] {
         equal(machine, "hopper-v5", "hopper-v5", 60, 180);
@@ -145,7 +145,7 @@ fn fix_checksums(image: &mut [u8]) {
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware; stage `firmware` of .ci/test.py"]
+#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn a_bad_policy_is_refused_and_the_status_frame_says_why() {
     let good = model("inverted-pendulum-v5").to_vec();
     let changed = |f: &dyn Fn(&mut Vec<u8>)| {
@@ -192,7 +192,7 @@ fn a_bad_policy_is_refused_and_the_status_frame_says_why() {
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware; stage `firmware` of .ci/test.py"]
+#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn a_hanging_program_is_restarted_by_the_watchdog_and_says_so() {
     let image = model("inverted-pendulum-v5");
     let mut peer = Peer::connect(&board(Machine::Mps2An386, "-hang"), &image, &NodeConfig::default());
@@ -206,7 +206,7 @@ fn a_hanging_program_is_restarted_by_the_watchdog_and_says_so() {
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware; stage `firmware` of .ci/test.py"]
+#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn with_the_boards_timer_silence_leads_to_safe() {
     let image = model("inverted-pendulum-v5");
     let config = NodeConfig { time: TimeSource::Local, node: NodeId::new(5).unwrap(), ..NodeConfig::default() };
@@ -222,7 +222,7 @@ fn with_the_boards_timer_silence_leads_to_safe() {
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware; stage `firmware` of .ci/test.py"]
+#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn a_policy_comes_over_the_bus_and_the_one_before_stays_in_its_slot() {
     let old = model("inverted-pendulum-v5");
     let mut new = old.to_vec();
@@ -337,7 +337,7 @@ fn same_decisions(name: &str, plant: &str, count: usize) {
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware; stage `firmware` of .ci/test.py"]
+#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn ten_thousand_observations_give_the_same_latents_masks_and_action_bits_on_host_m4_and_m7() {
     same_decisions("inverted-pendulum-v5", "inverted-pendulum-v5", 4000);
     same_decisions("moving", "moving", 3000);

@@ -94,11 +94,11 @@ mod tests {
     #[test]
     fn every_place_of_every_length_is_found() {
         for len in 1..=70usize {
-            for place in 0..len {
+            for (place, index) in (0..len).zip(0_u16..) {
                 let mut values = std::vec![-7; len];
                 values[place] = -3;
                 let values = words(&values);
-                let found = (u16::try_from(place).unwrap(), -3);
+                let found = (index, -3);
                 assert_eq!(top(&values), found);
                 assert_eq!(largest(&values), -3);
                 assert_eq!(masked_argmax(&values, &LatentMask::full(70)), found);

@@ -70,8 +70,12 @@ fn signals(db: &Database) -> impl Iterator<Item = (&DbMessage, &DbSignal)> {
     db.messages.iter().flat_map(|m| m.signals.iter().map(move |s| (m, s)))
 }
 
+/// The word of the DBC format for a message that no one node sends.
+const NO_SENDER: &str = "Vector__XXX";
+
+/// The emergency stop comes from anybody, so it has no sender.
 fn sender(message: &DbMessage) -> &'static str {
-    ROLES.iter().find(|(role, _)| *role == message.from).map_or("Vector__XXX", |(_, name)| name)
+    ROLES.iter().find(|(role, _)| *role == message.from).map_or(NO_SENDER, |(_, name)| name)
 }
 
 fn receivers(message: &DbMessage) -> String {
