@@ -114,38 +114,56 @@ fn blank<'a>(cases: &[&'a [f32]], slots: usize) -> Vec<(&'a [f32], Answer)> {
     cases.iter().map(|case| (*case, (0, vec![0.0; slots]))).collect()
 }
 
-/// Appends little-endian values.
+/// Appends little-endian values. A number that its field does not hold is remembered and refuses the file at the end.
 #[derive(Default)]
-struct Buffer(Vec<u8>);
+struct Buffer {
+    bytes: Vec<u8>,
+    too_large: Option<usize>,
+}
 
 impl Buffer {
+    /// `value` as the type of its field; 0 for one that does not fit.
+    fn fit<T: TryFrom<usize> + Default>(&mut self, value: usize) -> T {
+        T::try_from(value).unwrap_or_else(|_| {
+            self.too_large.get_or_insert(value);
+            T::default()
+        })
+    }
+
     fn u16(&mut self, value: usize) {
-        self.0.extend(u16::try_from(value).expect("limits of the format fit 16 bits").to_le_bytes());
+        let value: u16 = self.fit(value);
+        self.bytes.extend(value.to_le_bytes());
     }
 
     fn u32(&mut self, value: usize) {
-        self.0.extend(u32::try_from(value).expect("files are smaller than 4 GiB").to_le_bytes());
-    }
-
-    fn f32(&mut self, value: f32) {
-        self.0.extend(value.to_le_bytes());
-    }
-
-    fn f32s(&mut self, values: &[f32]) {
-        self.0.extend(values.iter().flat_map(|value| value.to_le_bytes()));
-    }
-
-    fn zeros(&mut self, count: usize) {
-        self.0.resize(self.0.len() + count, 0);
-    }
-
-    fn align(&mut self) {
-        self.0.resize(self.0.len().next_multiple_of(SECTION_ALIGN), 0);
+        let value: u32 = self.fit(value);
+        self.bytes.extend(value.to_le_bytes());
     }
 
     fn put_u32(&mut self, at: usize, value: usize) {
-        let value = u32::try_from(value).expect("files are smaller than 4 GiB");
-        self.0[at..at + 4].copy_from_slice(&value.to_le_bytes());
+        let value: u32 = self.fit(value);
+        self.bytes[at..at + 4].copy_from_slice(&value.to_le_bytes());
+    }
+
+    fn f32(&mut self, value: f32) {
+        self.bytes.extend(value.to_le_bytes());
+    }
+
+    fn f32s(&mut self, values: &[f32]) {
+        self.bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+    }
+
+    fn zeros(&mut self, count: usize) {
+        self.bytes.resize(self.bytes.len() + count, 0);
+    }
+
+    fn align(&mut self) {
+        self.bytes.resize(self.bytes.len().next_multiple_of(SECTION_ALIGN), 0);
+    }
+
+    fn append(&mut self, other: &Self) {
+        self.bytes.extend(&other.bytes);
+        self.too_large = self.too_large.or(other.too_large);
     }
 }
 
@@ -272,9 +290,9 @@ fn file(parts: &Parts<'_>, vectors: &[(&[f32], Answer)], options: &FileOptions) 
     let mut index = 0;
     let mut section = |out: &mut Buffer, write: &mut dyn FnMut(&mut Buffer)| {
         out.align();
-        let start = out.0.len();
+        let start = out.bytes.len();
         write(out);
-        let len = out.0.len() - start;
+        let len = out.bytes.len() - start;
         out.put_u32(HEADER_LEN + index * 8, start);
         out.put_u32(HEADER_LEN + index * 8 + 4, len);
         index += 1;
@@ -309,31 +327,35 @@ fn file(parts: &Parts<'_>, vectors: &[(&[f32], Answer)], options: &FileOptions) 
     check_provenance(parts.provenance)?;
     section(&mut out, &mut |out| write_provenance(out, parts.provenance));
     out.align();
-    let payload_len = out.0.len() - HEADER_LEN;
+    let payload_len = out.bytes.len() - HEADER_LEN;
     for record in &options.trailer {
         out.u16(usize::from(record.kind));
         out.u16(0);
         out.u32(record.data.len());
-        out.0.extend(CRC32.checksum(&record.data).to_le_bytes());
+        out.bytes.extend(CRC32.checksum(&record.data).to_le_bytes());
         out.u32(0);
-        out.0.extend(&record.data);
+        out.bytes.extend(&record.data);
         out.align();
     }
-    let total = out.0.len();
-    let mut header = Buffer(MAGIC.to_vec());
+    let total = out.bytes.len();
+    let mut header = Buffer { bytes: MAGIC.to_vec(), too_large: out.too_large };
     header.u16(usize::from(FORMAT_VERSION));
     header.u16(usize::from(NUMERICS_VERSION));
     header.u32(total);
     header.u32(payload_len);
     header.u32(0);
-    header.0.extend(hash.to_le_bytes());
-    header.0.extend(options.policy_seq.to_le_bytes());
+    header.bytes.extend(hash.to_le_bytes());
+    header.bytes.extend(options.policy_seq.to_le_bytes());
     header.u32(words(parts));
-    header.0.extend(RUNTIME_ABI.to_le_bytes());
+    header.bytes.extend(RUNTIME_ABI.to_le_bytes());
     header.u16(usize::from(parts.kind.code()));
-    out.0[..header.0.len()].copy_from_slice(&header.0);
-    reseal(&mut out.0);
-    Ok(out.0)
+    out.bytes[..header.bytes.len()].copy_from_slice(&header.bytes);
+    if let Some(found) = header.too_large {
+        let what = "a count or length: at most 65535 (4 GiB for bytes); make the model or its names shorter";
+        return Err(EncodeError::Value { what: what.into(), found: found as f64 });
+    }
+    reseal(&mut out.bytes);
+    Ok(out.bytes)
 }
 
 /// Recomputes the checksums of payload and header, for tests and tools that change bytes on purpose. Does nothing where
@@ -391,12 +413,12 @@ fn write_interface(out: &mut Buffer, interface: &Interface) -> u64 {
     out.u32(interface.control_period_us as usize);
     out.u32(text.len());
     out.u32(0);
-    out.0.extend(&observations.0);
-    out.0.extend(&actions.0);
-    out.0.extend(text.as_bytes());
+    out.append(&observations);
+    out.append(&actions);
+    out.bytes.extend(text.as_bytes());
     interface_hash(InterfaceView {
-        observations: observations.0.as_chunks().0,
-        actions: actions.0.as_chunks().0,
+        observations: observations.bytes.as_chunks().0,
+        actions: actions.bytes.as_chunks().0,
         text: text.as_bytes(),
         control_period_us: interface.control_period_us,
     })
@@ -410,7 +432,7 @@ fn write_layers(out: &mut Buffer, layers: &[PackedLayer]) -> Vec<usize> {
         out.u16(layer.cols);
         out.u16(layer.bits);
         out.u16(0);
-        places.push(out.0.len());
+        places.push(out.bytes.len());
         out.zeros(8);
     }
     places
@@ -419,19 +441,19 @@ fn write_layers(out: &mut Buffer, layers: &[PackedLayer]) -> Vec<usize> {
 /// Places bytes at the next aligned offset and notes the place.
 fn place(out: &mut Buffer, at: usize, bytes: &[u8]) {
     out.align();
-    out.put_u32(at, out.0.len());
+    out.put_u32(at, out.bytes.len());
     out.put_u32(at + 4, bytes.len());
-    out.0.extend(bytes);
+    out.bytes.extend(bytes);
 }
 
 fn write_net(out: &mut Buffer, net: &PackedNet, threshold: (u32, u32)) {
-    let start = out.0.len();
+    let start = out.bytes.len();
     out.u16(net.layers.len());
     out.u16(net.frac_bits);
     out.f32(net.scale);
-    out.0.extend(threshold.0.to_le_bytes());
-    out.0.extend(threshold.1.to_le_bytes());
-    debug_assert_eq!(out.0.len() - start, NET_HEAD);
+    out.bytes.extend(threshold.0.to_le_bytes());
+    out.bytes.extend(threshold.1.to_le_bytes());
+    debug_assert_eq!(out.bytes.len() - start, NET_HEAD);
     let places = write_layers(out, &net.layers);
     for (layer, at) in net.layers.iter().zip(places) {
         place(out, at, &layer.stream);
@@ -439,7 +461,7 @@ fn write_net(out: &mut Buffer, net: &PackedNet, threshold: (u32, u32)) {
 }
 
 fn write_decoder(out: &mut Buffer, parts: &Parts<'_>) {
-    let start = out.0.len();
+    let start = out.bytes.len();
     let Some(net) = &parts.decoder else {
         out.u16(usize::from(DECODER_TABLE));
         out.zeros(14);
@@ -462,7 +484,7 @@ fn write_decoder(out: &mut Buffer, parts: &Parts<'_>) {
             HeadEncoding::Types => (ENCODING_TYPES, 0),
             HeadEncoding::Switch => (ENCODING_SWITCH, 0),
         };
-        out.0.extend([kind, snap]);
+        out.bytes.extend([kind, snap]);
         out.u16(encoding.rows(action.head));
     }
     for (layer, at) in net.layers.iter().zip(places) {
@@ -488,18 +510,39 @@ fn check_provenance(provenance: &ProvenanceOwned) -> Result<(), EncodeError> {
 
 fn write_provenance(out: &mut Buffer, provenance: &ProvenanceOwned) {
     for value in [provenance.train_seed, provenance.eval_seed, provenance.env_steps] {
-        out.0.extend(value.to_le_bytes());
+        out.bytes.extend(value.to_le_bytes());
     }
     for stats in [provenance.float_return, provenance.device_return] {
         out.f32(stats.mean);
         out.f32(stats.std);
-        out.0.extend(stats.episodes.to_le_bytes());
+        out.bytes.extend(stats.episodes.to_le_bytes());
     }
     let texts = [&provenance.environment, &provenance.algorithm, &provenance.config_hash, &provenance.commit];
     for text in texts {
         out.u16(text.len());
     }
     for text in texts {
-        out.0.extend(text.as_bytes());
+        out.bytes.extend(text.as_bytes());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Buffer;
+
+    #[test]
+    fn what_does_not_fit_its_field_is_remembered() {
+        let (mut out, mut other) = (Buffer::default(), Buffer::default());
+        out.u16(65_535);
+        assert_eq!((&out.bytes[..], out.too_large), (&[255, 255][..], None));
+        other.u16(65_536);
+        other.u16(70_000);
+        out.append(&other);
+        assert_eq!((out.bytes.len(), out.too_large), (6, Some(65_536)), "the first");
+        if let Ok(large) = usize::try_from(1_u64 << 32) {
+            let mut out = Buffer::default();
+            out.u32(large);
+            assert_eq!((&out.bytes[..], out.too_large), (&[0; 4][..], Some(large)));
+        }
     }
 }
