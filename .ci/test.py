@@ -19,6 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 DEVICE = "thumbv7em-none-eabihf"
 DEVICES = [DEVICE, "thumbv7m-none-eabi", "thumbv8m.main-none-eabihf", "riscv32imac-unknown-none-elf"]
+EMBASSY = "firmware-sim/embassy-example/Cargo.toml"
 FUZZ_SECONDS = "30"
 
 CARGO_RESULT = re.compile(r"^test result: \w+\. (\d+) passed; (\d+) failed; (\d+) ignored;")
@@ -104,6 +105,17 @@ def stages():
             [
                 ["cargo", "fmt", "--manifest-path", "firmware-sim/firmware/Cargo.toml", "--check"],
                 ["firmware-sim/firmware/build.sh", "--check"],
+            ],
+        ),
+        Stage(
+            "embassy",
+            "example for the NUCLEO-H743ZI2, CAN FD with embassy-stm32: it compiles and links (not run: no such board here)",
+            [
+                ["cargo", "fmt", "--manifest-path", EMBASSY, "--check"],
+                [
+                    *cargo("build", "--quiet", "--release", "--manifest-path", EMBASSY, "--target", DEVICE),
+                    *("--target-dir", os.environ.get("CARGO_TARGET_DIR", "target/embassy-example")),
+                ],
             ],
         ),
         Stage(
