@@ -1,5 +1,5 @@
 # Two commands for newcomers: `make demo` and `make test`. Everything they do is in .ci/, one script each.
-.PHONY: help setup demo test firmware bench-target bench-peers soak
+.PHONY: help setup demo test firmware bench-target bench-peers test-peers soak
 
 help:
 	@echo "make setup   bring or check what is needed: MuJoCo library, Rust targets (quick when all is there)"
@@ -8,6 +8,7 @@ help:
 	@echo "make firmware   the controller as firmware for three boards, in target/firmware; BOARDS=\"mps2-an386\" picks some"
 	@echo "make bench-target   instructions, code, weights, memory and stack on emulated Cortex-M4 and M7, with goals and budgets"
 	@echo "make bench-peers   training speed beside PyTorch, gymnasium and envpool (brings about 5 GB)"
+	@echo "make test-peers   one update of every baseline learner compared with PyTorch, number by number (brings the same)"
 	@echo "make soak    a million control steps over a hub with random faults: every frame accounted for, memory flat"
 	@echo
 	@echo "Afterwards plain cargo works too: cargo build, cargo test, cargo run --release --bin gadm -- --help"
@@ -24,6 +25,9 @@ test: setup
 # PEERS: options of tests/peers/run.py.
 bench-peers: setup
 	@.ci/peers.sh $(PEERS)
+
+test-peers: setup
+	@.ci/peers-test.sh
 
 firmware:
 	@firmware-sim/firmware/build.sh $(BOARDS)

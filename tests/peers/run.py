@@ -27,6 +27,8 @@ TRAIN = [
     ("action-model update, batch 512", "action-model", {1: (1.35, 1.5), 2: (1.5, 1.9)}),
     ("confidence update, batch 512", "confidence", {1: (1.3, None), 2: (1.5, None)}),
     ("small DQN update 64-64, batch 100", "dqn-small", {1: (8.0, None)}),
+    ("small TD3 update 64-64, batch 100", "td3-small", {1: (8.0, None)}),
+    ("TD3 update 256-256, batch 256", "td3", {1: (2.0, None), 2: (2.0, None)}),
     ("Algorithm 1 on Hopper, rounds", "round", {1: (1.8, 2.0), 2: (1.8, 2.0)}),
 ]
 ENVS = [
@@ -42,10 +44,10 @@ BUSY = "import time\nend = time.time() + {}\nwhile time.time() < end: sum(range(
 class Server:
     """A peer that stays, so that its start counts for nothing."""
 
-    def __init__(self, python, script):
-        env = {**os.environ, "PYTHONWARNINGS": "ignore"}
+    def __init__(self, *command):
+        env = {**os.environ, "PYTHONWARNINGS": "ignore", "OPENBLAS_NUM_THREADS": "1"}
         self.process = subprocess.Popen(
-            [python, HERE / script], cwd=HERE, env=env, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            command, cwd=HERE, env=env, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
 
     def measure(self, case, threads, seconds):
@@ -78,6 +80,23 @@ def ours(program, case, threads, seconds):
 
 def ours_env(program, envs, threads, seconds):
     return gadm(program, "env", "--envs", envs, "--threads", threads, "--seconds", seconds)["timings"][0]
+
+
+def build_rltools(args):
+    """The program of rltools.cpp, with RLtools from the user's checkout; ends where that cannot be built."""
+    checkout, program = Path(args.rltools).resolve(), Path(args.gadm).resolve().parent / "rltools-td3"
+    if not (checkout / "include/rl_tools").is_dir():
+        sys.exit(f"--rltools {checkout}: expected a checkout of RLtools, found no include/rl_tools in it")
+    flags = "-std=c++17 -O3 -ffast-math -march=native -DRL_TOOLS_BACKEND_ENABLE_OPENBLAS -DRL_TOOLS_DISABLE_HDF5".split()
+    command = ["g++", *flags, "-I", checkout / "include", HERE / "rltools.cpp", "-o", program, *args.rltools_link.split()]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True)
+    except OSError as error:
+        sys.exit(f"RLtools: {error}; a C++ compiler is needed (Debian: apt-get install g++ libopenblas-dev)")
+    if done.returncode:
+        wrong = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines()[-1:]
+        sys.exit(f"RLtools cannot be built: {wrong[0]} (it needs OpenBLAS; Debian: apt-get install libopenblas-dev)")
+    return program
 
 
 class Row:
@@ -170,10 +189,14 @@ def main():
     parser.add_argument("--seconds", type=float, default=1.0, help="seconds per measurement (default: %(default)s)")
     parser.add_argument("--only", action="append", help="only rows whose label contains this text; may be repeated")
     parser.add_argument("--json", metavar="FILE", help="write every measured rate to this file")
+    parser.add_argument("--rltools", metavar="DIR", help="a checkout of RLtools, to be built and compared too")
+    parser.add_argument("--rltools-link", metavar="FLAGS", default="-lopenblas",
+                        help="compiler flags that find OpenBLAS for it (default: %(default)s)")
     args = parser.parse_args()
     begin, start_load = time.time(), load()
 
     updates, envs = Server(args.python, "updates.py"), Server(args.python, "environments.py")
+    rltools = Server(build_rltools(args)) if args.rltools else None
     rows = []
     for label, case, goals in TRAIN:
         for threads, (goal, stretch) in goals.items():
@@ -185,6 +208,10 @@ def main():
         mine = lambda count=count, threads=threads: ours_env(args.gadm, count, threads, args.seconds)
         peer = lambda case=case, t=peer_threads: envs.measure(case, t, args.seconds)
         rows.append(Row(label, str(threads), goal, None, mine, peer))
+    if rltools:
+        mine = lambda: ours(args.gadm, "td3-loop", 1, args.seconds)
+        peer = lambda: rltools.measure("td3", 1, args.seconds)
+        rows.append(Row("TD3 on Pendulum, whole steps, 64-64 / RLtools with OpenBLAS", "1", 1.0, 1.3, mine, peer))
     wanted = lambda label: not args.only or any(text in label for text in args.only)
     rows = [row for row in rows if wanted(row.label)]
     for _ in range(args.rounds):
@@ -222,10 +249,11 @@ def main():
             line = f"Peak of 512 x 256 x 256 products, {threads} thread(s): ours {gflops:.0f} GFLOP/s"
             theirs = updates.measure("sgemm", threads, args.seconds)
             print(f"{line}, PyTorch {statistics.median(theirs['rates']) * mine['flop'] / 1e9:.0f}")
-    print("RLtools: not compared: its loops are TD3, SAC and PPO, and this program has none of them yet")
+    if not rltools:
+        print("RLtools: not compared: name a checkout of it with --rltools DIR (github.com/rl-tools/rl-tools)")
     print(f"\n{time.time() - begin:.0f} s")
-    updates.close()
-    envs.close()
+    for server in filter(None, (updates, envs, rltools)):
+        server.close()
     if args.json:
         Path(args.json).write_text(json.dumps(report))
     sys.exit(1 if failed else 3 if missed else 0)

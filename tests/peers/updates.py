@@ -5,6 +5,7 @@ import time
 import torch
 
 from algorithm import Algorithm
+from learners import Td3
 from measure import serve
 from networks import ActionModel, Confidence, DuelingDqn, PlainDqn
 
@@ -81,6 +82,16 @@ def small():
     return [counted(lambda: model.update(*data))]
 
 
+def td3(hidden, n):
+    def make():
+        model = Td3(3, 1, [hidden, hidden])
+        obs, _, returns, bootstrap, next_obs = batch(n, 3, 1)
+        actions = torch.rand(n, 1) * 2 - 1
+        return [counted(lambda: model.update(obs, actions, returns, bootstrap, next_obs))]
+
+    return make
+
+
 def rounds():
     works = []
     for full in (False, True):
@@ -102,6 +113,8 @@ serve(
         "action-model": case(action_model),
         "confidence": case(confidence),
         "dqn-small": case(small),
+        "td3-small": case(td3(64, 100)),
+        "td3": case(td3(256, 256)),
         "round": case(rounds),
         "sgemm": case(sgemm),
     }

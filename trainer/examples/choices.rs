@@ -102,7 +102,7 @@ type Cost = (usize, u32);
 fn learning(name: &str, seed: u64) -> anyhow::Result<(Option<f64>, Option<Cost>)> {
     let env = "inverted-pendulum-v5";
     let layers = [
-        Layer::Toml { origin: env.to_owned(), text: builtin(env).unwrap_or_default().to_owned() },
+        Layer::Toml { origin: env.to_owned(), text: builtin("gadm-dqn", env).unwrap_or_default().to_owned() },
         Layer::Set(format!("seed={seed}")),
         Layer::Set(format!("action_model.fusion=\"{name}\"")),
     ];

@@ -1,3 +1,7 @@
-//! Learners on latent actions.
+//! Learning algorithms.
 
 pub mod dqn;
+pub mod learner;
+pub mod td3;
+
+pub use learner::{Actor, Explorer, Learner, Report};

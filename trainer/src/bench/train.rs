@@ -5,14 +5,16 @@ use rand::RngExt as _;
 use super::{Label, Timing, repeat};
 use crate::action_space::{ActionSpace, ContinuousHead, SnapRule};
 use crate::algo::dqn::{Dqn, DqnConfig, TargetUpdate};
-use crate::config::{RoundConfig, TrainConfig, WarmupConfig};
+use crate::algo::td3::{Td3, Td3Config};
+use crate::algo::{Learner as _, Report};
+use crate::config::{Algorithm, RoundConfig, TrainConfig, WarmupConfig};
 use crate::discretizer::gadm::{ActionModel, ActionModelConfig, Confidence, ConfidenceConfig};
 use crate::error::TrainError;
 use crate::nn::AdamConfig;
 use crate::nn::kernel::{Epilogue, Left, Product, pack_panels, panels_len, product};
 use crate::nn::parallel;
 use crate::replay::RlBatch;
-use crate::runner::Run;
+use crate::runner::{AnyRun, BaselineRun, Run};
 use crate::seed::{Rng, SeedTree};
 
 /// A piece of work of the table in `docs/src/performance.md`.
@@ -30,18 +32,27 @@ pub enum Case {
     Confidence,
     /// Double DQN, 3-64-64-8, batch 100.
     DqnSmall,
+    /// TD3, actor 3-64-64-1, critics 4-64-64-1, batch 100, policy delay 2.
+    Td3Small,
+    /// TD3, actor 3-256-256-1, critics 4-256-256-1, batch 256, policy delay 2.
+    Td3,
+    /// Whole steps of TD3 on Pendulum, 64-64, batch 100: environment, replay and one update each.
+    Td3Loop,
     /// Rounds of Algorithm 1 on Hopper-v5.
     Round,
 }
 
 /// All cases with their names.
-pub const CASES: [(&str, Case); 7] = [
+pub const CASES: [(&str, Case); 10] = [
     ("sgemm", Case::Sgemm),
     ("dqn", Case::Dqn),
     ("dqn-dueling", Case::DqnDueling),
     ("action-model", Case::ActionModel),
     ("confidence", Case::Confidence),
     ("dqn-small", Case::DqnSmall),
+    ("td3-small", Case::Td3Small),
+    ("td3", Case::Td3),
+    ("td3-loop", Case::Td3Loop),
     ("round", Case::Round),
 ];
 
@@ -160,8 +171,45 @@ pub fn run(case: Case, threads: usize, seconds: f64) -> Result<Timing, TrainErro
                 1
             }))
         }
+        Case::Td3Small => td3(rng, "td3-small", 64, 100, threads, seconds),
+        Case::Td3 => td3(rng, "td3", 256, 256, threads, seconds),
+        Case::Td3Loop => td3_loop(threads, seconds),
         Case::Round => round(threads, seconds),
     }
+}
+
+/// Updates of TD3 on the sizes of Pendulum, noise on the target actions included.
+fn td3(
+    rng: &mut Rng,
+    case: &'static str,
+    hidden: usize,
+    batch: usize,
+    threads: usize,
+    seconds: f64,
+) -> Result<Timing, TrainError> {
+    let spec = gadm_envs::make("pendulum")?.spec().clone();
+    let (o, a) = (spec.obs_dim(), spec.action_dim());
+    let mut config = Td3Config { hidden: vec![hidden; 2], ..Default::default() };
+    config.schedule.batch = batch;
+    let delay = config.policy_delay as f64;
+    let mut learner = Td3::new(config, &spec, SeedTree::new(1))?;
+    let (mut data, _) = transitions(rng, batch, o, 1);
+    data.actions.truncate(batch * a);
+    let (actor, critic) = (dense_flop(&[o, hidden, hidden, a]), dense_flop(&[o + a, hidden, hidden, 1]));
+    let critics = actor + 2.0 * critic + 2.0 * trained_flop(&[o + a, hidden, hidden, 1]);
+    // The policy's gradient goes through the first critic, whose weights need none then.
+    let policy = trained_flop(&[o, hidden, hidden, a]) + 2.0 * critic;
+    let label = Label {
+        case,
+        what: format!("TD3 {o}-{hidden}-{hidden}-{a}, batch {batch}, policy delay {delay}"),
+        unit: "updates",
+        flop: batch as f64 * (critics + policy / delay),
+    };
+    let mut report = Report::new();
+    Ok(repeat(&label, threads, seconds, || {
+        learner.update(&data, rng, &mut report);
+        1
+    }))
 }
 
 fn sgemm(rng: &mut Rng, threads: usize, seconds: f64) -> Timing {
@@ -230,11 +278,6 @@ pub fn round_config() -> TrainConfig {
 fn round(threads: usize, seconds: f64) -> Result<Timing, TrainError> {
     let config = round_config();
     let steps = config.collect.steps_per_round as u64;
-    let mut run = Run::new(config)?;
-    let mut failed = None;
-    while run.counters.q_updates == 0 && failed.is_none() {
-        one_round(&mut run, &mut failed);
-    }
     let label = Label {
         case: "round",
         what: "Algorithm 1 on Hopper-v5, rounds of 256 steps + 50 action-model + 10 confidence + 50 Q updates"
@@ -242,14 +285,37 @@ fn round(threads: usize, seconds: f64) -> Result<Timing, TrainError> {
         unit: "steps",
         flop: 0.0,
     };
-    let timing = repeat(&label, threads, seconds, || {
-        one_round(&mut run, &mut failed);
+    rounds(&mut Run::new(config)?, steps, &label, threads, seconds)
+}
+
+fn td3_loop(threads: usize, seconds: f64) -> Result<Timing, TrainError> {
+    let mut own = Td3Config { hidden: vec![64; 2], ..Default::default() };
+    (own.schedule.batch, own.schedule.random_steps) = (100, 100);
+    let config =
+        TrainConfig { env: "pendulum".to_owned(), algo: Algorithm::Td3(own), steps: u64::MAX, ..Default::default() };
+    let label = Label {
+        case: "td3-loop",
+        what: "TD3 on Pendulum, 64-64, batch 100: a step of the environment and an update".to_owned(),
+        unit: "steps",
+        flop: 0.0,
+    };
+    rounds(&mut BaselineRun::new(config)?, 1, &label, threads, seconds)
+}
+
+/// Rounds of a run, each of `steps` environment steps, from its first update on.
+fn rounds(run: &mut dyn AnyRun, steps: u64, label: &Label, threads: usize, seconds: f64) -> Result<Timing, TrainError> {
+    let mut failed = None;
+    while run.counters().q_updates == 0 && failed.is_none() {
+        one_round(run, &mut failed);
+    }
+    let timing = repeat(label, threads, seconds, || {
+        one_round(run, &mut failed);
         steps
     });
     failed.map_or(Ok(timing), Err)
 }
 
-fn one_round(run: &mut Run, failed: &mut Option<TrainError>) {
+fn one_round(run: &mut dyn AnyRun, failed: &mut Option<TrainError>) {
     match run.round() {
         Ok(Ok(())) => {}
         Ok(Err(bad)) => *failed = Some(TrainError::config("bench", "finite numbers", bad.what)),

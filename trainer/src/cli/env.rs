@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use clap::Subcommand;
 use gadm_envs::golden;
+use gadm_trainer::config::AlgorithmName;
 use gadm_trainer::config::builtin::builtin;
 use serde_json::json;
 
@@ -49,7 +50,7 @@ fn list(as_json: bool) -> anyhow::Result<ExitCode> {
             Ok(env) => {
                 let spec = env.spec();
                 let limit = spec.time_limit.map_or_else(|| "own".to_owned(), |l| l.to_string());
-                let config = if builtin(id).is_some() { "yes" } else { "-" };
+                let config = if builtin(AlgorithmName::default().id(), id).is_some() { "yes" } else { "-" };
                 text.push(format!(
                     "{id:22} {:>6} {:>7} {:>11} {limit:>10}  {config}",
                     spec.obs_dim(),
@@ -59,7 +60,7 @@ fn list(as_json: bool) -> anyhow::Result<ExitCode> {
                 rows.push(json!({
                     "id": id, "obs_dim": spec.obs_dim(), "action_dim": spec.action_dim(),
                     "control_period_us": spec.control_period_us, "time_limit": spec.time_limit,
-                    "builtin_config": builtin(id).is_some(),
+                    "builtin_config": builtin(AlgorithmName::default().id(), id).is_some(),
                 }));
             }
             Err(error) => {

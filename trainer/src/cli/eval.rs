@@ -100,7 +100,7 @@ fn run(args: &Args, camera: Option<&Camera>) -> anyhow::Result<(&'static str, St
         let mut envs = (0..episodes).map(|_| make_with(&env, &options)).collect::<Result<Vec<_>, _>>()?;
         let first = filmed(envs.remove(0));
         envs.insert(0, first);
-        return Ok(("float", env, evaluate_in(&mut trained.agent, envs, args.seed)));
+        return Ok(("float", env, evaluate_in(trained.actor(), envs, args.seed)));
     }
     let bytes = std::fs::read(&args.path)
         .with_context(|| format!("cannot read {}: give a run folder or a policy file", args.path.display()))?;
@@ -118,13 +118,16 @@ pub fn main(args: &Args) -> anyhow::Result<ExitCode> {
     let n = evaluation.returns.len();
     let used = evaluation.latent_counts.iter().filter(|c| **c > 0).count();
     let success_rate = evaluation.successes.map(|s| s as f64 / n as f64);
+    let choices = match evaluation.latent_counts.len() {
+        0 => String::new(),
+        all => format!("; {used} of {all} choices used"),
+    };
     say(&format!(
-        "{env} ({kind}): return {:.2} ± {:.2} over {n} episodes, seed {}{}; {used} of {} latents used",
+        "{env} ({kind}): return {:.2} ± {:.2} over {n} episodes, seed {}{}{choices}",
         evaluation.mean(),
         evaluation.sd(),
         args.seed,
         success_rate.map_or_else(String::new, |s| format!(", {:.1} % in the goal", 100.0 * s)),
-        evaluation.latent_counts.len()
     ));
     if let (Some(path), Some(shot)) = (&args.render, camera.and_then(|camera| camera.finish())) {
         atomic::write(path, &shot.gif)?;

@@ -88,7 +88,7 @@ pub struct Args {
 fn command(config: &TrainConfig) -> String {
     let steps = config.steps;
     let short = format!("gadm train --env {} --seed {} --steps {steps}", config.env, config.seed);
-    let explained = builtin(&config.env).is_some_and(|text| {
+    let explained = builtin(config.algo.name().id(), &config.env).is_some_and(|text| {
         let layers = [
             Layer::Toml { origin: config.env.clone(), text: text.to_owned() },
             Layer::Set(format!("seed={}", config.seed)),

@@ -6,9 +6,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::available_parallelism;
 
 use anyhow::Context as _;
+use clap::builder::{PossibleValue, PossibleValuesParser};
 use gadm_trainer::config::builtin::builtin;
 use gadm_trainer::config::resolve::resolve;
-use gadm_trainer::config::{Layer, TrainConfig, to_toml};
+use gadm_trainer::config::{ALGORITHMS, Algorithm, AlgorithmName, Layer, TrainConfig, to_toml};
 use gadm_trainer::nn::parallel;
 use gadm_trainer::runner::progress::Style;
 use gadm_trainer::runner::train::CONFIG_FILE;
@@ -20,6 +21,7 @@ const EXAMPLES: &str = "\
 Examples:
   gadm train --env inverted-pendulum-v5
   gadm train --env hopper-v5 --seed 1 --set round.q_updates=25
+  gadm train --env pendulum --algo td3 --set td3.gamma=0.98
   gadm train --config my.toml --out runs/mine
   gadm train --out runs/mine --resume --steps 2000000
 
@@ -37,6 +39,9 @@ pub struct Args {
     /// Environment id (see `gadm env list`)
     #[arg(long, value_name = "ENV")]
     env: Option<String>,
+    /// What learns; a baseline has its settings in a table of its own (see --print-config) [default: gadm-dqn]
+    #[arg(long, value_name = "ALGO", value_parser = PossibleValuesParser::new(ALGORITHMS.iter().map(|(id, about)| PossibleValue::new(*id).help(*about))))]
+    algo: Option<String>,
     /// Configuration file (TOML)
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -49,7 +54,7 @@ pub struct Args {
     /// Environment steps, warm-up included
     #[arg(long, value_name = "N")]
     steps: Option<u64>,
-    /// Run folder [default: runs/ENV-seedN]
+    /// Run folder [default: runs/ENV-seedN, of a baseline runs/ALGO-ENV-seedN]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Continue the run in --out
@@ -74,23 +79,37 @@ fn read(path: &PathBuf) -> anyhow::Result<Layer> {
 
 fn config(args: &Args) -> anyhow::Result<TrainConfig> {
     let mut layers = Vec::new();
+    let algo = args.algo.as_deref().unwrap_or(AlgorithmName::default().id());
     if args.resume {
         let out = args.out.as_ref().context("--resume needs --out DIR, the run folder to continue")?;
         layers.push(read(&out.join(CONFIG_FILE))?);
     }
     if let Some(path) = &args.config {
         layers.push(read(path)?);
-    } else if let Some(text) = args.env.as_deref().and_then(builtin).filter(|_| !args.resume) {
+    } else if let Some(text) = args.env.as_deref().and_then(|env| builtin(algo, env)).filter(|_| !args.resume) {
         let env = args.env.as_deref().unwrap_or_default();
-        layers.push(Layer::Toml { origin: format!("built-in configuration of {env}"), text: text.to_owned() });
+        layers
+            .push(Layer::Toml { origin: format!("built-in configuration of {algo} on {env}"), text: text.to_owned() });
     } else if args.env.is_none() && !args.resume {
         anyhow::bail!("nothing to train: name an environment with --env, or a configuration with --config");
+    }
+    if !args.resume {
+        layers.extend(args.algo.iter().map(|algo| Layer::Set(format!("algo={algo}"))));
     }
     layers.extend(args.env.iter().map(|env| Layer::Set(format!("env={env}"))));
     layers.extend(args.seed.iter().map(|seed| Layer::Set(format!("seed={seed}"))));
     layers.extend(args.steps.iter().map(|steps| Layer::Set(format!("steps={steps}"))));
     layers.extend(args.sets.iter().cloned().map(Layer::Set));
     Ok(resolve(&layers)?)
+}
+
+/// `runs/ENV-seedN`, or `runs/ALGO-ENV-seedN` for a baseline.
+fn default_folder(config: &TrainConfig) -> PathBuf {
+    let name = format!("{}-seed{}", config.env, config.seed);
+    PathBuf::from("runs").join(match &config.algo {
+        Algorithm::GadmDqn => name,
+        Algorithm::Td3(_) => format!("{}-{name}", config.algo.name().id()),
+    })
 }
 
 /// Runs `train`.
@@ -100,13 +119,14 @@ pub fn main(args: Args, quiet: bool) -> anyhow::Result<ExitCode> {
         print(to_toml(&config)?.trim_end())?;
         return Ok(ExitCode::SUCCESS);
     }
-    let dir = args.out.unwrap_or_else(|| PathBuf::from(format!("runs/{}-seed{}", config.env, config.seed)));
+    let dir = args.out.unwrap_or_else(|| default_folder(&config));
     ctrlc::set_handler(|| {
         if STOP.swap(true, Ordering::Relaxed) {
             std::process::exit(130);
         }
     })?;
     say(&format!("{} {} in {}", if args.resume { "continuing" } else { "training" }, config.env, dir.display()));
+    let gadm = config.algo == Algorithm::GadmDqn;
     let style = Style::detect(quiet);
     parallel::start(args.threads.map_or_else(|| available_parallelism().map_or(1, usize::from), usize::from));
     let outcome =
@@ -129,6 +149,10 @@ pub fn main(args: Args, quiet: bool) -> anyhow::Result<ExitCode> {
         say(&format!("continue with: gadm train --out {} --resume", dir.display()));
         return Ok(ExitCode::from(130));
     }
-    say(&format!("next: gadm export {} -o policy.bin", dir.display()));
+    say(&if gadm {
+        format!("next: gadm export {} -o policy.bin", dir.display())
+    } else {
+        format!("next: gadm eval {}", dir.display())
+    });
     Ok(ExitCode::SUCCESS)
 }

@@ -1,16 +1,18 @@
-//! Configurations that come with the program: what `gadm train --env ENV` uses without `--config`.
+//! Configurations that come with the program: what `gadm train --algo ALGO --env ENV` uses without
+//! `--config`.
 
-/// Environment id and configuration text.
-pub const BUILTIN: &[(&str, &str)] = &[
-    ("inverted-pendulum-v5", include_str!("../../configs/gadm-dqn-inverted-pendulum-v5.toml")),
-    ("moving", include_str!("../../configs/gadm-dqn-moving.toml")),
-    ("sliding", include_str!("../../configs/gadm-dqn-sliding.toml")),
-    ("hopper-v5", include_str!("../../configs/gadm-dqn-hopper-v5.toml")),
+/// Algorithm, environment id and configuration text.
+pub const BUILTIN: &[(&str, &str, &str)] = &[
+    ("gadm-dqn", "inverted-pendulum-v5", include_str!("../../configs/gadm-dqn-inverted-pendulum-v5.toml")),
+    ("gadm-dqn", "moving", include_str!("../../configs/gadm-dqn-moving.toml")),
+    ("gadm-dqn", "sliding", include_str!("../../configs/gadm-dqn-sliding.toml")),
+    ("gadm-dqn", "hopper-v5", include_str!("../../configs/gadm-dqn-hopper-v5.toml")),
+    ("td3", "pendulum", include_str!("../../configs/td3-pendulum.toml")),
 ];
 
-/// The built-in configuration of an environment.
-pub fn builtin(env: &str) -> Option<&'static str> {
-    BUILTIN.iter().find(|(id, _)| *id == env).map(|(_, text)| *text)
+/// The built-in configuration of an algorithm for an environment.
+pub fn builtin(algo: &str, env: &str) -> Option<&'static str> {
+    BUILTIN.iter().find(|(a, e, _)| (*a, *e) == (algo, env)).map(|(.., text)| *text)
 }
 
 #[cfg(test)]
@@ -20,11 +22,11 @@ mod tests {
 
     #[test]
     fn every_builtin_configuration_is_valid_and_names_its_environment() {
-        for (id, text) in BUILTIN {
+        for (algo, id, text) in BUILTIN {
             let layer = Layer::Toml { origin: (*id).to_owned(), text: (*text).to_owned() };
             let config: TrainConfig = resolve(&[layer]).unwrap();
             config.validate().unwrap();
-            assert_eq!(config.env, *id);
+            assert_eq!((config.env.as_str(), config.algo.name().id()), (*id, *algo));
         }
     }
 }

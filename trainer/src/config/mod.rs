@@ -1,27 +1,21 @@
 //! The configuration of a training run: one TOML file, every key documented, unknown keys refused.
 
+mod algorithm;
 pub mod builtin;
 pub mod resolve;
+mod stored;
 
 use std::path::PathBuf;
 
 use gadm_envs::EnvOptions;
 use serde::{Deserialize, Serialize};
 
+pub use algorithm::{ALGORITHMS, Algorithm, AlgorithmName, EpsilonConfig, Schedule};
 pub use resolve::{ConfigError, Layer, config_hash, to_toml};
 
 use crate::algo::dqn::DqnConfig;
 use crate::discretizer::gadm::{ActionModelConfig, ConfidenceConfig};
 use crate::error::TrainError;
-
-/// What learns.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Algorithm {
-    /// GADM with masked double DQN on its latents, online (paper, algorithm 1).
-    #[default]
-    GadmDqn,
-}
 
 /// Collection of transitions (specification 4.5).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -168,13 +162,14 @@ impl Default for TrackConfig {
     }
 }
 
-/// A training run.
+/// A training run. The tables from `collect` to `dqn` are those of [`Algorithm::GadmDqn`]; every other algorithm has one table
+/// of its own, and neither is accepted beside the other.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[serde(try_from = "stored::Stored", into = "stored::Stored")]
 pub struct TrainConfig {
     /// Environment id (`gadm env list`).
     pub env: String,
-    /// What learns.
+    /// What learns, with its own settings.
     pub algo: Algorithm,
     /// Seed of every random stream.
     pub seed: u64,
@@ -232,10 +227,13 @@ impl TrainConfig {
         let positive = |key: &str, value: usize| {
             if value == 0 { Err(TrainError::config(key, "at least 1", value)) } else { Ok(()) }
         };
-        positive("collect.envs", self.collect.envs)?;
-        positive("round.batch", self.round.batch)?;
         positive("track.eval_episodes", self.track.eval_episodes)?;
         positive("track.log_every", self.track.log_every as usize)?;
+        if self.algo != Algorithm::GadmDqn {
+            return self.algo.validate();
+        }
+        positive("collect.envs", self.collect.envs)?;
+        positive("round.batch", self.round.batch)?;
         let CollectConfig { envs, steps_per_round } = self.collect;
         if steps_per_round == 0 || !steps_per_round.is_multiple_of(envs) {
             return Err(TrainError::config(

@@ -19,6 +19,9 @@ use toml::{Spanned, Table, Value};
 /// The key that names the variant of an enum with data.
 pub const TAG: &str = "kind";
 
+/// The key that names the algorithm of a configuration: choosing another one drops the tables that it does not have.
+pub const ALGORITHM: &str = "algo";
+
 /// A key that no configuration has; serde's refusal of it lists the keys it knows.
 const PROBE: &str = "__no_such_key__";
 
@@ -283,9 +286,9 @@ impl Resolver<'_> {
     /// Applies one table of a layer at `path`.
     fn merge(&mut self, layer: &DeTable<'_>, path: &mut Vec<String>, source: &Source<'_>) -> Result<(), ConfigError> {
         // The variant first: it decides which other keys there are.
-        let tag = layer.iter().filter(|(key, _)| key.get_ref() == TAG);
-        let others = layer.iter().filter(|(key, _)| key.get_ref() != TAG);
-        for (key, value) in tag.chain(others) {
+        let chooses = |key: &str| key == TAG || path.is_empty() && key == ALGORITHM;
+        let (tag, others): (Vec<_>, Vec<_>) = layer.iter().partition(|(key, _)| chooses(key.get_ref()));
+        for (key, value) in tag.into_iter().chain(others) {
             path.push(key.get_ref().to_string());
             self.merge_entry(key.span(), value, path, source)?;
             path.pop();
@@ -318,6 +321,9 @@ impl Resolver<'_> {
             }
         }
         let value = owned(value.get_ref());
+        if path.len() == 1 && path[0] == ALGORITHM {
+            self.drop_tables_of_other_algorithms(&value);
+        }
         let value = match &default {
             Some(default) => coerce(value, default).map_err(|found| ConfigError::TypeMismatch {
                 key: path.join("."),
@@ -328,6 +334,27 @@ impl Resolver<'_> {
             None => value,
         };
         self.assign(path, value, place)
+    }
+
+    /// Prepares the tree for the algorithm `name`: what that does not accept goes, and its own tables come with their defaults.
+    /// No change where the algorithm is the present one, or not known.
+    fn drop_tables_of_other_algorithms(&mut self, name: &Value) {
+        if self.tree.get(ALGORITHM) == Some(name) {
+            return;
+        }
+        let mut tree: Table = [(ALGORITHM.to_owned(), name.clone())].into_iter().collect();
+        if (self.check)(&tree).is_err() {
+            return;
+        }
+        for (key, value) in &self.tree {
+            let alone = [(ALGORITHM, name), (key.as_str(), value)].map(|(k, v)| (k.to_owned(), v.clone()));
+            if key != ALGORITHM && (self.check)(&alone.into_iter().collect()).is_ok() {
+                tree.insert(key.clone(), value.clone());
+            }
+        }
+        if let Some(tree) = (self.normalise)(&tree) {
+            self.tree = tree;
+        }
     }
 
     /// Writes a value and attributes a refusal to it.

@@ -13,7 +13,7 @@ use crate::runner::checkpoint::Trained;
 /// # Errors
 /// [`TrainError::Export`] for a fusion that does not fold.
 pub fn float_model(trained: &mut Trained, spec: &EnvSpec) -> Result<FloatModel, TrainError> {
-    let agent = &mut trained.agent;
+    let agent = trained.agent()?;
     let (layers, weight, bias) = agent.dqn.folded();
     let mut q: Vec<Dense> = layers.iter().map(|layer| dense(&agent.dqn.params, layer)).collect();
     let cols = q.last().map_or(0, |layer| layer.rows);

@@ -83,7 +83,7 @@ pub fn export(dir: &Path, options: &ExportOptions) -> Result<Exported, TrainErro
     let config = trained.config.clone();
     let spec = gadm_envs::make_with(&config.env, &config.env_options)?.spec().clone();
     let mut model = float_model(&mut trained, &spec)?;
-    let float = evaluate(&mut trained.agent, &config.env, &config.env_options, options.episodes, options.seed)?;
+    let float = evaluate(trained.actor(), &config.env, &config.env_options, options.episodes, options.seed)?;
     model.provenance.config_hash = config_hash(&config)?;
     model.provenance.commit = Origin::of_run(dir)?.commit;
     model.provenance.eval_seed = options.seed;
@@ -120,6 +120,6 @@ pub fn export(dir: &Path, options: &ExportOptions) -> Result<Exported, TrainErro
     let image = AlignedImage::new(&bytes);
     Policy::load(&image).map_err(|e| TrainError::Export(format!("the file just written does not load: {e}")))?;
     let parity = measure(&model, &bytes, &calibration)?;
-    let updates = counters.q_updates + counters.action_updates + counters.confidence_updates;
+    let updates = counters.updates();
     Ok(Exported { bytes, config, env_steps: counters.env_steps, updates, float, device, parity, report, model })
 }

@@ -79,6 +79,11 @@ impl Graph {
         self.slot(width, false)
     }
 
+    /// An input whose gradient is computed too, for a loss that another network carries on (actor and critic).
+    pub fn input_with_gradient(&mut self, width: usize) -> Slot {
+        self.slot(width, true)
+    }
+
     /// A dense layer, with ReLU where `relu`.
     ///
     /// # Panics
@@ -327,12 +332,21 @@ impl Graph {
         self.backward_parts(weights, std::slice::from_mut(ws), &[0..batch, batch..batch]);
     }
 
+    /// [`backward`](Self::backward) for the gradients of values alone: those of the parameters are not computed. For a graph
+    /// without standardisation.
+    ///
+    /// # Panics
+    /// Where the graph standardises.
+    pub fn backward_values(&self, weights: Weights, ws: &mut Workspace) {
+        self.run_back(weights, ws, 0..self.ops.len(), true);
+    }
+
     /// [`backward`](Self::backward) after [`forward_parts`](Self::forward_parts): every part gets the gradient of its own rows.
     pub fn backward_parts(&self, weights: Weights, parts: &mut [Workspace], rows: &[Range<usize>; parallel::PARTS]) {
         let mut end = self.ops.len();
         for start in self.cuts().rev().skip(1).chain([0]) {
             parallel::each(parts, rows, |ws, _| {
-                self.run_back(weights, ws, start + usize::from(self.is_standardise(start))..end);
+                self.run_back(weights, ws, start + usize::from(self.is_standardise(start))..end, false);
                 if self.is_standardise(start) {
                     self.standardise_sums(ws, start);
                 }
@@ -350,7 +364,8 @@ impl Graph {
         matches!(self.ops.get(op), Some(Op::Standardise { .. }))
     }
 
-    fn run_back(&self, weights: Weights, ws: &mut Workspace, ops: Range<usize>) {
+    /// `frozen` leaves out the gradients of the parameters.
+    fn run_back(&self, weights: Weights, ws: &mut Workspace, ops: Range<usize>, frozen: bool) {
         let batch = ws.batch;
         for i in ops.rev() {
             match &self.ops[i] {
@@ -361,12 +376,19 @@ impl Graph {
                     let (n, k) = (self.widths[*y], self.widths[*x]);
                     let mut dy = std::mem::take(&mut ws.grad[*y]);
                     let Workspace { act, grad, written, left, right, gradient, .. } = ws;
-                    let bias = &mut gradient[b.clone()];
-                    vectorised(mask_and_sum, (&mut dy[..batch * n], relu.then(|| act[*y].as_slice()), bias));
-                    pack_groups(&dy[..batch * n], n, batch, left);
-                    pack_panels(&act[*x][..batch * k], batch, k, right);
-                    let c = &mut gradient[w.clone()];
-                    product(Product { m: n, n: k, k: batch, left: Left::Groups(left), right, c, end: Epilogue::Add });
+                    if frozen {
+                        if *relu {
+                            vectorised(|()| mask_by_sign(&mut dy[..batch * n], &act[*y]), ());
+                        }
+                    } else {
+                        let bias = &mut gradient[b.clone()];
+                        vectorised(mask_and_sum, (&mut dy[..batch * n], relu.then(|| act[*y].as_slice()), bias));
+                        pack_groups(&dy[..batch * n], n, batch, left);
+                        pack_panels(&act[*x][..batch * k], batch, k, right);
+                        let c = &mut gradient[w.clone()];
+                        let left = Left::Groups(left);
+                        product(Product { m: n, n: k, k: batch, left, right, c, end: Epilogue::Add });
+                    }
                     if self.needs_grad[*x] {
                         let accumulate = std::mem::replace(&mut written[*x], true);
                         product(Product {

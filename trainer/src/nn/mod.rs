@@ -6,8 +6,10 @@ pub mod kernel;
 pub mod oracle;
 pub mod parallel;
 pub mod params;
+pub mod stack;
 pub mod vector;
 
 pub use adam::{Adam, AdamConfig};
 pub use graph::{DenseParams, Graph, Packed, Slot, Weights, Workspace, argmax, declare_dense};
 pub use params::{ImportError, Init, ParamLayout, Params};
+pub use stack::{Stack, normal};

@@ -1,6 +1,7 @@
 //! The learner as a whole: action model, confidence predictor and Q-network, and how they choose an action.
 
 use crate::action_space::ActionSpace;
+use crate::algo::Actor;
 use crate::algo::dqn::{Dqn, DqnMetrics, masked_argmax};
 use crate::config::TrainConfig;
 use crate::discretizer::gadm::{ActionModel, Confidence};
@@ -104,5 +105,23 @@ impl Agent {
             self.allowed = allowed;
             done += rows;
         }
+    }
+}
+
+impl Actor for Agent {
+    fn space(&self) -> &ActionSpace {
+        self.model.space()
+    }
+
+    fn choices(&self) -> usize {
+        self.model.num_latents()
+    }
+
+    /// Greedy latents, decoded with the snap rule; the mask statistics of training stay as they are.
+    fn act(&mut self, obs: &[f32], batch: usize, chosen: &mut Vec<u32>, actions: &mut [f32]) {
+        let statistics = self.mask_statistics;
+        self.greedy(obs, batch, chosen);
+        self.model.decode(obs, chosen, actions, true);
+        self.mask_statistics = statistics;
     }
 }

@@ -13,13 +13,17 @@ use safetensors::tensor::{Dtype, SafeTensors, View};
 use serde::{Deserialize, Serialize};
 
 use super::agent::Agent;
+use super::any::AnyRun;
 use super::run::{Counters, NotFinite, Run, Streams, Window};
+use crate::algo::{Actor, Learner};
 use crate::atomic;
-use crate::config::TrainConfig;
+use crate::config::{Algorithm, AlgorithmName, TrainConfig};
 use crate::error::TrainError;
 use crate::nn::{Adam, Params};
 use crate::replay::{NStep, RL_COLUMNS};
 use gadm_envs::VecEnvState;
+
+pub mod baseline;
 
 /// Folder of the checkpoints in a run folder.
 pub const FOLDER: &str = "checkpoints";
@@ -81,6 +85,20 @@ impl<'a> Arrays<'a> {
     fn adam(&mut self, prefix: &str, adam: &'a Adam) {
         self.flat(format!("{prefix}/adam.m"), &adam.m);
         self.flat(format!("{prefix}/adam.v"), &adam.v);
+    }
+
+    fn replay(&mut self, columns: &'a [Vec<f32>; 6]) {
+        for (name, values) in RL_COLUMNS.iter().zip(columns) {
+            self.flat(format!("d_rl/{name}"), values);
+        }
+    }
+
+    fn take_replay(&mut self) -> Result<[Vec<f32>; 6], String> {
+        let mut columns: [Vec<f32>; 6] = Default::default();
+        for (name, column) in RL_COLUMNS.iter().zip(&mut columns) {
+            *column = self.take(&format!("d_rl/{name}"))?;
+        }
+        Ok(columns)
     }
 
     fn take(&mut self, name: &str) -> Result<Vec<f32>, String> {
@@ -145,8 +163,8 @@ impl<'a> Arrays<'a> {
         digest.finalize()
     }
 
-    fn from_bytes(bytes: &[u8]) -> Result<(Self, String), String> {
-        let arrays = Self::read(bytes)?;
+    fn from_bytes(bytes: &[u8]) -> Result<(Arrays<'static>, String), String> {
+        let arrays = Arrays::read(bytes)?;
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| e.to_string())?;
         let entry = |key: &str| header.metadata().as_ref().and_then(|m| m.get(key));
         let state = entry("gadm").ok_or("a safetensors file, but not a checkpoint of this program")?.clone();
@@ -159,10 +177,10 @@ impl<'a> Arrays<'a> {
         Ok((arrays, state))
     }
 
-    fn read(bytes: &[u8]) -> Result<Self, String> {
+    fn read(bytes: &[u8]) -> Result<Arrays<'static>, String> {
         let tensors = SafeTensors::deserialize(bytes)
             .map_err(|e| format!("damaged, cut short, or not a safetensors file ({e})"))?;
-        let mut arrays = Self::default();
+        let mut arrays = Arrays::default();
         for (name, view) in tensors.tensors() {
             if view.dtype() != Dtype::F32 {
                 return Err(format!("`{name}` is {:?}, expected F32", view.dtype()));
@@ -236,9 +254,7 @@ pub fn save(run: &Run, dir: &Path) -> Result<(), TrainError> {
     let (ar_next, obs, actions) = run.d_ar.arrays();
     arrays.flat("d_ar/obs", obs);
     arrays.flat("d_ar/actions", actions);
-    for (name, values) in RL_COLUMNS.iter().zip(&columns) {
-        arrays.flat(format!("d_rl/{name}"), values);
-    }
+    arrays.replay(&columns);
     let state = RunState {
         version: VERSION,
         config: run.config.clone(),
@@ -269,14 +285,50 @@ pub fn save(run: &Run, dir: &Path) -> Result<(), TrainError> {
 /// to do then.
 pub fn load(dir: &Path) -> Result<Run, TrainError> {
     let file = path(dir, LAST);
+    let (arrays, state) = read(dir, LAST)?;
+    restore(&file, arrays, &state)
+}
+
+/// Continues a run of any algorithm from its folder.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_any(dir: &Path) -> Result<Box<dyn AnyRun>, TrainError> {
+    let file = path(dir, LAST);
+    let (arrays, state) = read(dir, LAST)?;
+    Ok(match algorithm(&state).map_err(unusable(&file))? {
+        AlgorithmName::GadmDqn => Box::new(restore(&file, arrays, &state)?),
+        AlgorithmName::Td3 => Box::new(baseline::restore(&file, arrays, &state)?),
+    })
+}
+
+/// Arrays and run state of a file in a run folder.
+fn read(dir: &Path, name: &str) -> Result<(Arrays<'static>, String), TrainError> {
+    let file = path(dir, name);
     if !file.exists() {
         return Err(TrainError::NothingToResume { path: dir.to_path_buf() });
     }
     let bytes = std::fs::read(&file).map_err(TrainError::io("read", &file))?;
-    let bad = unusable(&file);
-    let (mut arrays, state) = Arrays::from_bytes(&bytes).map_err(&bad)?;
-    drop(bytes);
-    let state: RunState = parse(&state).map_err(&bad)?;
+    Arrays::from_bytes(&bytes).map_err(unusable(&file))
+}
+
+/// Which algorithm a run state is of.
+fn algorithm(state: &str) -> Result<AlgorithmName, String> {
+    #[derive(Deserialize)]
+    struct Stored {
+        config: Named,
+    }
+    #[derive(Deserialize)]
+    struct Named {
+        algo: AlgorithmName,
+    }
+    let stored: Stored = parse(state)?;
+    Ok(stored.config.algo)
+}
+
+fn restore(file: &Path, mut arrays: Arrays, state: &str) -> Result<Run, TrainError> {
+    let bad = unusable(file);
+    let state: RunState = parse(state).map_err(&bad)?;
     if state.nsteps.len() != state.config.collect.envs
         || state.window.code_counts.len() != state.config.action_model.latents
     {
@@ -300,10 +352,7 @@ pub fn load(dir: &Path) -> Result<Run, TrainError> {
     }
     let obs = arrays.take("d_ar/obs").map_err(&bad)?;
     let actions = arrays.take("d_ar/actions").map_err(&bad)?;
-    let mut columns: [Vec<f32>; 6] = Default::default();
-    for (name, column) in RL_COLUMNS.iter().zip(&mut columns) {
-        *column = arrays.take(&format!("d_rl/{name}")).map_err(&bad)?;
-    }
+    let columns = arrays.take_replay().map_err(&bad)?;
     if !run.d_ar.restore(state.ar_next, obs, actions) || !run.d_rl.restore(state.rl_next, &columns) {
         return Err(bad("the replay arrays do not fit this configuration".to_owned()));
     }
@@ -334,8 +383,12 @@ pub fn save_best(run: &Run, dir: &Path) -> Result<(), TrainError> {
     arrays.networks(&run.agent);
     let observations = calibration(run);
     arrays.flat("calibration/obs", &observations);
+    write_best(dir, &arrays, &run.config, &run.counters)
+}
+
+fn write_best(dir: &Path, arrays: &Arrays, config: &TrainConfig, counters: &Counters) -> Result<(), TrainError> {
     let file = path(dir, BEST);
-    let state = BestState { version: VERSION, config: run.config.clone(), counters: run.counters.clone() };
+    let state = BestState { version: VERSION, config: config.clone(), counters: counters.clone() };
     let state = serde_json::to_string(&state).map_err(|e| bad(&file)(e.to_string()))?;
     write(&file, &arrays.to_bytes(state).map_err(bad(&file))?)
 }
@@ -357,16 +410,48 @@ fn calibration(run: &Run) -> Vec<f32> {
         .collect()
 }
 
-/// A trained agent with what the export needs.
+/// What a run learned.
+pub enum Learned {
+    /// Action model, confidence predictor and Q-network.
+    GadmDqn(Box<Agent>),
+    /// The networks of a baseline.
+    Baseline(Box<dyn Learner>),
+}
+
+/// A trained policy with what the export needs.
 pub struct Trained {
     /// Networks.
-    pub agent: Agent,
+    pub learned: Learned,
     /// Settings of the run.
     pub config: TrainConfig,
     /// Counters when it was stored.
     pub counters: Counters,
     /// Observations for calibration, `N x obs_dim`.
     pub calibration: Vec<f32>,
+}
+
+impl Trained {
+    /// The policy as an evaluation sees it.
+    pub fn actor(&mut self) -> &mut dyn Actor {
+        match &mut self.learned {
+            Learned::GadmDqn(agent) => agent.as_mut(),
+            Learned::Baseline(learner) => learner.actor(),
+        }
+    }
+
+    /// The agent of GADM + DQN, the algorithm whose policies run on a device.
+    ///
+    /// # Errors
+    /// [`TrainError::Export`] for another algorithm.
+    pub fn agent(&mut self) -> Result<&mut Agent, TrainError> {
+        match &mut self.learned {
+            Learned::GadmDqn(agent) => Ok(agent),
+            Learned::Baseline(_) => Err(TrainError::Export(format!(
+                "this run was trained with `{}`, and policy files hold those of gadm-dqn; evaluate it with gadm eval",
+                self.config.algo.name().id()
+            ))),
+        }
+    }
 }
 
 /// Loads the networks of a run: the best ones, or the last ones.
@@ -376,20 +461,32 @@ pub struct Trained {
 pub fn load_trained(dir: &Path, best: bool) -> Result<Trained, TrainError> {
     let file = path(dir, BEST);
     if !best || !file.exists() {
-        let run = load(dir)?;
+        let file = path(dir, LAST);
+        let (arrays, state) = read(dir, LAST)?;
+        if algorithm(&state).map_err(unusable(&file))? != AlgorithmName::GadmDqn {
+            return Ok(baseline::restore(&file, arrays, &state)?.into_trained());
+        }
+        let run = restore(&file, arrays, &state)?;
         let calibration = calibration(&run);
-        return Ok(Trained { calibration, config: run.config, counters: run.counters, agent: run.agent });
+        let learned = Learned::GadmDqn(Box::new(run.agent));
+        return Ok(Trained { calibration, config: run.config, counters: run.counters, learned });
     }
-    let bytes = std::fs::read(&file).map_err(TrainError::io("read", &file))?;
     let bad = unusable(&file);
-    let (mut arrays, state) = Arrays::from_bytes(&bytes).map_err(&bad)?;
+    let (mut arrays, state) = read(dir, BEST)?;
     let state: BestState = parse(&state).map_err(&bad)?;
     let spec = gadm_envs::make_with(&state.config.env, &state.config.env_options)?.spec().clone();
+    if state.config.algo != Algorithm::GadmDqn {
+        let mut learner = super::baseline::learner(&state.config, &spec)?;
+        baseline::load_networks(&mut arrays, learner.as_mut()).map_err(&bad)?;
+        let learned = Learned::Baseline(learner);
+        return Ok(Trained { learned, config: state.config, counters: state.counters, calibration: Vec::new() });
+    }
     let mut agent = Agent::new(&state.config, &spec)?;
     arrays.load_networks(&mut agent).map_err(&bad)?;
     agent.confidence_updates = state.counters.confidence_updates;
     let calibration = arrays.take("calibration/obs").map_err(&bad)?;
-    Ok(Trained { agent, config: state.config, counters: state.counters, calibration })
+    let learned = Learned::GadmDqn(Box::new(agent));
+    Ok(Trained { learned, config: state.config, counters: state.counters, calibration })
 }
 
 /// Saves the batch behind a number that is not finite: every array by name, rows x width.

@@ -5,7 +5,7 @@ use gadm_runtime::encode::AlignedImage;
 use gadm_runtime::{FloatPolicy, Policy, Scratch, WeightKind};
 use serde::{Deserialize, Serialize};
 
-use super::agent::Agent;
+use crate::algo::Actor;
 use crate::error::TrainError;
 
 /// Outcome of an evaluation.
@@ -17,7 +17,7 @@ pub struct Evaluation {
     pub lengths: Vec<u64>,
     /// Episodes that ended in the goal, where the environment has one.
     pub successes: Option<usize>,
-    /// How often each latent was chosen.
+    /// How often each latent (or other discrete choice) was chosen; empty where an algorithm has none.
     pub latent_counts: Vec<u64>,
 }
 
@@ -44,18 +44,18 @@ impl Evaluation {
 /// # Errors
 /// Where the environment cannot be made.
 pub fn evaluate(
-    agent: &mut Agent,
+    actor: &mut dyn Actor,
     env: &str,
     options: &EnvOptions,
     episodes: usize,
     seed: u64,
 ) -> Result<Evaluation, TrainError> {
     let envs = (0..episodes).map(|_| make_with(env, options)).collect::<Result<_, _>>()?;
-    Ok(evaluate_in(agent, envs, seed))
+    Ok(evaluate_in(actor, envs, seed))
 }
 
 /// As [`evaluate`], in these environments: one for each episode, all alike, at least one.
-pub fn evaluate_in(agent: &mut Agent, mut envs: Vec<Box<dyn Env>>, seed: u64) -> Evaluation {
+pub fn evaluate_in(actor: &mut dyn Actor, mut envs: Vec<Box<dyn Env>>, seed: u64) -> Evaluation {
     let episodes = envs.len();
     let spec = envs[0].spec().clone();
     let (obs_dim, slots) = (spec.obs_dim(), spec.action_dim());
@@ -67,26 +67,26 @@ pub fn evaluate_in(agent: &mut Agent, mut envs: Vec<Box<dyn Env>>, seed: u64) ->
         returns: vec![0.0; episodes],
         lengths: vec![0; episodes],
         successes: spec.goal_terminal.then_some(0),
-        latent_counts: vec![0; agent.model.num_latents()],
+        latent_counts: vec![0; actor.choices()],
     };
     let mut running: Vec<usize> = (0..episodes).collect();
-    let (mut batch, mut codes, mut native) = (Vec::new(), Vec::new(), vec![0.0; slots]);
-    let statistics = agent.mask_statistics;
+    let (mut batch, mut chosen, mut native) = (Vec::new(), Vec::new(), vec![0.0; slots]);
     while !running.is_empty() {
         batch.clear();
         for &i in &running {
             batch.extend_from_slice(&obs[i * obs_dim..(i + 1) * obs_dim]);
         }
-        agent.greedy(&batch, running.len(), &mut codes);
         let mut actions = vec![0.0; running.len() * slots];
-        agent.model.decode(&batch, &codes, &mut actions, true);
+        actor.act(&batch, running.len(), &mut chosen, &mut actions);
+        for &choice in &chosen {
+            result.latent_counts[choice as usize] += 1;
+        }
         let mut still = Vec::with_capacity(running.len());
-        for ((&i, &code), action) in running.iter().zip(&codes).zip(actions.chunks_exact(slots)) {
-            agent.model.space().to_native(action, &mut native);
+        for (&i, action) in running.iter().zip(actions.chunks_exact(slots)) {
+            actor.space().to_native(action, &mut native);
             let step = envs[i].step(&native, &mut obs[i * obs_dim..(i + 1) * obs_dim]);
             result.returns[i] += step.reward;
             result.lengths[i] += 1;
-            result.latent_counts[code as usize] += 1;
             if step.terminated || step.truncated {
                 if let Some(n) = result.successes.as_mut().filter(|_| step.terminated && step.reward > 0.0) {
                     *n += 1;
@@ -97,7 +97,6 @@ pub fn evaluate_in(agent: &mut Agent, mut envs: Vec<Box<dyn Env>>, seed: u64) ->
         }
         running = still;
     }
-    agent.mask_statistics = statistics;
     result
 }
 

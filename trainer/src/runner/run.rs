@@ -1,12 +1,18 @@
 //! GADM + DQN online (paper, algorithm 1; specification 4.5): the state of a run and one round of it.
 
+use std::path::Path;
+
 use gadm_envs::{VecEnv, make_with};
 use gadm_runtime::space::ActionHead;
 use rand::RngExt as _;
 use serde::{Deserialize, Serialize};
 
 use super::agent::Agent;
-use crate::config::{RandomChoice, TrainConfig};
+use super::any::{AnyRun, any_run_fields};
+use super::checkpoint;
+use crate::action_space::ActionSpace;
+use crate::algo::Actor;
+use crate::config::{Algorithm, EpsilonConfig, RandomChoice, TrainConfig};
 use crate::error::TrainError;
 use crate::metrics::{Record, keys};
 use crate::nn::Params;
@@ -82,7 +88,20 @@ pub struct Streams {
     pub sample_rl: Rng,
 }
 
-/// A run in memory.
+impl Streams {
+    /// At their beginning.
+    pub fn new(seeds: SeedTree) -> Self {
+        Self {
+            warmup: seeds.stream("warmup"),
+            explore: seeds.stream("explore"),
+            noise: seeds.stream("noise"),
+            sample_ar: seeds.stream("sample.ar"),
+            sample_rl: seeds.stream("sample.rl"),
+        }
+    }
+}
+
+/// A run of GADM + DQN in memory.
 pub struct Run {
     /// Settings.
     pub config: TrainConfig,
@@ -117,6 +136,57 @@ pub struct NotFinite {
     pub what: &'static str,
     /// The batch: name, numbers per row, values.
     pub arrays: Vec<(&'static str, usize, Vec<f32>)>,
+}
+
+impl NotFinite {
+    /// `what`, and the transitions that it came of.
+    pub fn in_batch(what: &'static str, batch: &RlBatch, obs_dim: usize, slots: usize) -> Self {
+        let arrays = [
+            ("obs", obs_dim, &batch.obs),
+            ("actions", slots, &batch.actions),
+            ("returns", 1, &batch.returns),
+            ("bootstrap", 1, &batch.bootstrap),
+            ("next_obs", obs_dim, &batch.next_obs),
+        ];
+        Self { what, arrays: arrays.map(|(name, width, v)| (name, width, v.clone())).to_vec() }
+    }
+}
+
+/// True where every parameter is a finite number.
+pub fn finite(params: &Params) -> bool {
+    params.with(|p| p.iter().all(|v| v.is_finite()))
+}
+
+/// Steps the environments with normalised `actions` and books finished episodes.
+///
+/// # Errors
+/// Those of the environments.
+pub fn step_environments(
+    envs: &mut VecEnv,
+    space: &ActionSpace,
+    actions: &[f32],
+    counters: &mut Counters,
+    window: &mut Window,
+) -> Result<(), TrainError> {
+    let mut native = vec![0.0; actions.len()];
+    for (a, n) in actions.chunks_exact(space.slots()).zip(native.chunks_exact_mut(space.slots())) {
+        space.to_native(a, n);
+    }
+    for end in &envs.step(&native)?.ended {
+        counters.episodes += 1;
+        window.add(keys::EPISODE_RETURN, end.total_reward);
+        window.add(keys::EPISODE_LENGTH, end.length as f64);
+    }
+    Ok(())
+}
+
+/// A record with the means of `keys` that `window` has.
+pub fn push_means(record: &mut Record, window: &Window, keys: &[&'static str]) {
+    for key in keys {
+        if let Some(mean) = window.mean(key) {
+            record.push(key, mean);
+        }
+    }
 }
 
 /// Checks settings that only a run relates to each other.
@@ -171,6 +241,13 @@ fn check_action(heads: &[ActionHead], action: &[f32]) -> Result<(), String> {
     Ok(())
 }
 
+impl Counters {
+    /// Updates of all networks so far.
+    pub fn updates(&self) -> u64 {
+        self.q_updates + self.action_updates + self.confidence_updates
+    }
+}
+
 impl Run {
     /// A run at step 0.
     ///
@@ -178,19 +255,16 @@ impl Run {
     /// For an unknown environment or impossible settings.
     pub fn new(config: TrainConfig) -> Result<Self, TrainError> {
         config.validate()?;
+        if config.algo != Algorithm::GadmDqn {
+            return Err(TrainError::config("algo", "gadm-dqn", config.algo.name().id()));
+        }
         check(&config)?;
         let spec = make_with(&config.env, &config.env_options)?.spec().clone();
         let seeds = SeedTree::new(config.seed);
         let envs = VecEnv::new(&config.env, config.collect.envs, seeds.number("environments"), &config.env_options)?;
         let agent = Agent::new(&config, &spec)?;
         let (obs_dim, slots) = (spec.obs_dim(), spec.action_dim());
-        let streams = Streams {
-            warmup: seeds.stream("warmup"),
-            explore: seeds.stream("explore"),
-            noise: seeds.stream("noise"),
-            sample_ar: seeds.stream("sample.ar"),
-            sample_rl: seeds.stream("sample.rl"),
-        };
+        let streams = Streams::new(seeds);
         let code_counts = vec![0; config.action_model.latents];
         Ok(Self {
             agent,
@@ -209,11 +283,6 @@ impl Run {
             obs_dim,
             slots,
         })
-    }
-
-    /// Updates of all networks so far.
-    pub fn updates(&self) -> u64 {
-        self.counters.q_updates + self.counters.action_updates + self.counters.confidence_updates
     }
 
     /// True when the configured steps are done.
@@ -341,7 +410,7 @@ impl Run {
     /// Current ε.
     pub fn epsilon(&self) -> f64 {
         let e = &self.config.explore;
-        e.epsilon_end + (e.epsilon_start - e.epsilon_end) * (-(self.counters.env_steps as f64) / e.epsilon_decay).exp()
+        EpsilonConfig { start: e.epsilon_start, end: e.epsilon_end, decay: e.epsilon_decay }.at(self.counters.env_steps)
     }
 
     /// One step of every environment with ε-greedy latents and extreme noise; draws are per environment.
@@ -398,19 +467,8 @@ impl Run {
         Ok(())
     }
 
-    /// Steps the environments with `self.actions` and books finished episodes.
     fn step_environments(&mut self) -> Result<(), TrainError> {
-        let mut native = vec![0.0; self.actions.len()];
-        for (a, n) in self.actions.chunks_exact(self.slots).zip(native.chunks_exact_mut(self.slots)) {
-            self.agent.model.space().to_native(a, n);
-        }
-        let batch = self.envs.step(&native)?;
-        for end in &batch.ended {
-            self.counters.episodes += 1;
-            self.window.add(keys::EPISODE_RETURN, end.total_reward);
-            self.window.add(keys::EPISODE_LENGTH, end.length as f64);
-        }
-        Ok(())
+        step_environments(&mut self.envs, self.agent.model.space(), &self.actions, &mut self.counters, &mut self.window)
     }
 
     /// `what` with the pairs of the last batch from D_AR.
@@ -421,20 +479,11 @@ impl Run {
 
     /// `what` with the transitions of the last batch from D_RL.
     fn bad_transitions(&self, what: &'static str) -> NotFinite {
-        let b = &self.batch;
-        let arrays = [
-            ("obs", self.obs_dim, &b.obs),
-            ("actions", self.slots, &b.actions),
-            ("returns", 1, &b.returns),
-            ("bootstrap", 1, &b.bootstrap),
-            ("next_obs", self.obs_dim, &b.next_obs),
-        ];
-        NotFinite { what, arrays: arrays.map(|(name, width, v)| (name, width, v.clone())).to_vec() }
+        NotFinite::in_batch(what, &self.batch, self.obs_dim, self.slots)
     }
 
     /// Weights are looked at after every round, so that no checkpoint holds one that is not finite.
     fn check_weights(&self) -> Result<(), NotFinite> {
-        let finite = |params: &Params| params.with(|p| p.iter().all(|v| v.is_finite()));
         if !finite(&self.agent.model.params) {
             return Err(self.bad_pairs("a weight of the action model"));
         }
@@ -513,28 +562,28 @@ impl Run {
     /// The metric record of everything since the last one, and a fresh window.
     pub fn record(&mut self) -> Record {
         let mut record = Record::new(self.counters.env_steps);
-        record.push(keys::UPDATES, self.updates() as f64);
+        record.push(keys::UPDATES, self.counters.updates() as f64);
         record.push(keys::EPISODES, self.counters.episodes as f64);
         record.push(keys::EPSILON, self.epsilon());
         record.push(keys::REPLAY_SIZE, self.d_rl.len() as f64);
-        for key in [
-            keys::EPISODE_RETURN,
-            keys::EPISODE_LENGTH,
-            keys::Q_LOSS,
-            keys::Q_MEAN,
-            keys::GRAD_NORM,
-            keys::AE_LOSS,
-            keys::RECON_CONTINUOUS,
-            keys::RECON_TYPE,
-            keys::COMMITMENT,
-            keys::AE_GRAD_NORM,
-            keys::CONFIDENCE_LOSS,
-            keys::REMAPPED,
-        ] {
-            if let Some(mean) = self.window.mean(key) {
-                record.push(key, mean);
-            }
-        }
+        push_means(
+            &mut record,
+            &self.window,
+            &[
+                keys::EPISODE_RETURN,
+                keys::EPISODE_LENGTH,
+                keys::Q_LOSS,
+                keys::Q_MEAN,
+                keys::GRAD_NORM,
+                keys::AE_LOSS,
+                keys::RECON_CONTINUOUS,
+                keys::RECON_TYPE,
+                keys::COMMITMENT,
+                keys::AE_GRAD_NORM,
+                keys::CONFIDENCE_LOSS,
+                keys::REMAPPED,
+            ],
+        );
         let (used, perplexity) = self.window.code_use();
         if used > 0 {
             record.push(keys::CODES_USED, used as f64);
@@ -547,5 +596,37 @@ impl Run {
         }
         self.window = Window { code_counts: vec![0; self.config.action_model.latents], ..Window::default() };
         record
+    }
+}
+
+impl AnyRun for Run {
+    any_run_fields!();
+
+    fn phase(&self) -> &'static str {
+        self.phase()
+    }
+
+    fn prepare(&mut self) -> Result<(), TrainError> {
+        self.load_warmup_data()
+    }
+
+    fn round(&mut self) -> Result<Result<(), NotFinite>, TrainError> {
+        self.round()
+    }
+
+    fn record(&mut self) -> Record {
+        self.record()
+    }
+
+    fn actor(&mut self) -> &mut dyn Actor {
+        &mut self.agent
+    }
+
+    fn save(&mut self, dir: &Path) -> Result<(), TrainError> {
+        checkpoint::save(self, dir)
+    }
+
+    fn save_best(&mut self, dir: &Path) -> Result<(), TrainError> {
+        checkpoint::save_best(self, dir)
     }
 }

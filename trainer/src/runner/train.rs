@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use super::any::{AnyRun, new_run};
 use super::checkpoint;
 use super::evaluate::{Evaluation, evaluate};
 use super::progress::{Progress, Snapshot, Style};
-use super::run::{NotFinite, Run};
+use super::run::NotFinite;
 use crate::atomic;
 use crate::config::{TrainConfig, to_toml};
 use crate::error::TrainError;
@@ -92,29 +93,29 @@ fn lock(dir: &Path) -> Result<File, TrainError> {
 }
 
 /// Starts or resumes. The file is the lock on the folder.
-fn open(options: &TrainOptions) -> Result<(Run, Sinks, File), TrainError> {
+fn open(options: &TrainOptions) -> Result<(Box<dyn AnyRun>, Sinks, File), TrainError> {
     let dir = &options.dir;
     if options.resume {
-        let mut run = checkpoint::load(dir)?;
+        let mut run = checkpoint::load_any(dir)?;
         let lock = lock(dir)?;
         if let Some(config) = &options.config {
-            let same = TrainConfig { steps: run.config.steps, ..config.clone() };
-            if same != run.config {
+            let same = TrainConfig { steps: run.config().steps, ..config.clone() };
+            if same != *run.config() {
                 return Err(TrainError::ConfigChanged {
                     path: dir.clone(),
-                    detail: first_difference(&run.config, &same),
+                    detail: first_difference(run.config(), &same),
                 });
             }
-            if config.steps != run.config.steps {
-                run.config.steps = config.steps;
-                let text = to_toml(&run.config).map_err(TrainError::ConfigFile)?;
+            if config.steps != run.config().steps {
+                run.set_steps(config.steps);
+                let text = to_toml(run.config()).map_err(TrainError::ConfigFile)?;
                 atomic::write(&dir.join(CONFIG_FILE), text.as_bytes()).map_err(TrainError::Write)?;
             }
         }
         for folder in [dir.clone(), dir.join(checkpoint::FOLDER)] {
             atomic::remove_leftovers(&folder).map_err(TrainError::io("clean up", folder))?;
         }
-        let step = run.counters.env_steps;
+        let step = run.counters().env_steps;
         let sinks = Sinks {
             jsonl: JsonlSink::resume(dir, step).map_err(metrics_error)?,
             tensorboard: TensorBoardSink::resume(dir, step, unix_time()).map_err(metrics_error)?,
@@ -122,13 +123,13 @@ fn open(options: &TrainOptions) -> Result<(Run, Sinks, File), TrainError> {
         return Ok((run, sinks, lock));
     }
     let config = options.config.clone().unwrap_or_default();
-    let mut run = Run::new(config)?;
+    let mut run = new_run(config)?;
     if dir.exists() && std::fs::read_dir(dir).map_err(TrainError::io("read", dir))?.next().is_some() {
         return Err(TrainError::RunExists { path: dir.clone() });
     }
     // Everything that can be refused is refused before the folder exists, so that the command can be repeated.
-    run.load_warmup_data()?;
-    let text = to_toml(&run.config).map_err(TrainError::ConfigFile)?;
+    run.prepare()?;
+    let text = to_toml(run.config()).map_err(TrainError::ConfigFile)?;
     std::fs::create_dir_all(dir.join(checkpoint::FOLDER)).map_err(TrainError::io("create", dir))?;
     let lock = lock(dir)?;
     atomic::write(&dir.join(CONFIG_FILE), text.as_bytes()).map_err(TrainError::Write)?;
@@ -138,7 +139,7 @@ fn open(options: &TrainOptions) -> Result<(Run, Sinks, File), TrainError> {
         tensorboard: TensorBoardSink::create(dir, unix_time()).map_err(metrics_error)?,
     };
     // A run killed before its first regular checkpoint can be resumed too, and a folder that takes none is noticed now.
-    checkpoint::save(&run, dir)?;
+    run.save(dir)?;
     Ok((run, sinks, lock))
 }
 
@@ -156,55 +157,56 @@ fn first_difference(stored: &TrainConfig, given: &TrainConfig) -> String {
 pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
     let (mut run, mut sinks, _lock) = open(options)?;
     let start = Instant::now();
-    let mut progress = Progress::new(run.config.steps, &run.config.env, options.style);
+    let mut progress = Progress::new(run.config().steps, &run.config().env, options.style);
     let mut outcome = Outcome { env_steps: 0, interrupted: false, best_return: None, last: None, wall_s: 0.0 };
-    let mut clock = (Instant::now(), run.counters.env_steps, run.updates());
-    let target = run.config.track.stop_at_return;
-    let mut reached = target.is_some_and(|target| run.counters.last_return.is_some_and(|last| last >= target));
+    let mut clock = (Instant::now(), run.counters().env_steps, run.counters().updates());
+    let target = run.config().track.stop_at_return;
+    let mut reached = target.is_some_and(|target| run.counters().last_return.is_some_and(|last| last >= target));
     let mut recent = (None, None);
     while !run.finished() && !reached {
         if options.stop.load(Ordering::Relaxed) {
             outcome.interrupted = true;
             break;
         }
-        let before = run.counters.env_steps;
+        let before = run.counters().env_steps;
         if let Err(bad) = run.round()? {
-            return Err(stopped(&run, &options.dir, &bad)?);
+            return Err(stopped(run.as_ref(), &options.dir, &bad)?);
         }
-        let now = run.counters.env_steps;
+        let now = run.counters().env_steps;
         let crossed = |every: u64| every > 0 && before / every != now / every;
-        recent.0 = run.window.mean(keys::EPISODE_RETURN).or(recent.0);
-        recent.1 = run.window.mean(keys::Q_LOSS).or_else(|| run.window.mean(keys::AE_LOSS)).or(recent.1);
+        recent.0 = run.window().mean(keys::EPISODE_RETURN).or(recent.0);
+        recent.1 = run.window().mean(keys::Q_LOSS).or_else(|| run.window().mean(keys::AE_LOSS)).or(recent.1);
         progress.update(&Snapshot {
             phase: run.phase(),
             env_steps: now,
-            updates: run.updates(),
+            updates: run.counters().updates(),
             episode_return: recent.0,
             loss: recent.1,
-            latents: (run.window.code_use().0 > 0).then(|| (run.window.code_use().0, run.config.action_model.latents)),
+            latents: (run.window().code_use().0 > 0)
+                .then(|| (run.window().code_use().0, run.config().action_model.latents)),
         });
-        let evaluates = run.counters.warm && (crossed(run.config.track.eval_every) || run.finished());
-        if crossed(run.config.track.log_every) || evaluates {
+        let evaluates = run.counters().warm && (crossed(run.config().track.eval_every) || run.finished());
+        if crossed(run.config().track.log_every) || evaluates {
             let mut record = run.record();
             let elapsed = clock.0.elapsed().as_secs_f64().max(1e-9);
-            let rates = ((now - clock.1) as f64 / elapsed, (run.updates() - clock.2) as f64 / elapsed);
-            clock = (Instant::now(), now, run.updates());
+            let rates = ((now - clock.1) as f64 / elapsed, (run.counters().updates() - clock.2) as f64 / elapsed);
+            clock = (Instant::now(), now, run.counters().updates());
             if evaluates {
-                let evaluation = evaluate_run(&mut run, &mut record)?;
+                let evaluation = evaluate_run(run.as_mut(), &mut record)?;
                 reached = target.is_some_and(|target| evaluation.mean() >= target);
                 // A return that is not a number is better than nothing and worse than any other.
-                if run.counters.best_return.is_none_or(|best| evaluation.mean() > best || best.is_nan()) {
-                    run.counters.best_return = Some(evaluation.mean());
-                    checkpoint::save_best(&run, &options.dir)?;
+                if run.counters().best_return.is_none_or(|best| evaluation.mean() > best || best.is_nan()) {
+                    run.counters_mut().best_return = Some(evaluation.mean());
+                    run.save_best(&options.dir)?;
                 }
-                record.push(keys::EVAL_RETURN_BEST, run.counters.best_return.unwrap_or(f64::NAN));
+                record.push(keys::EVAL_RETURN_BEST, run.counters().best_return.unwrap_or(f64::NAN));
                 progress.suspend(|| {
                     tracing::info!(
                         "step {now}: return {:.1} ± {:.1} over {} episodes (best {:.1})",
                         evaluation.mean(),
                         evaluation.sd(),
                         evaluation.returns.len(),
-                        run.counters.best_return.unwrap_or(f64::NAN)
+                        run.counters().best_return.unwrap_or(f64::NAN)
                     );
                 });
                 outcome.last = Some(evaluation);
@@ -214,15 +216,15 @@ pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
             record.push(keys::UPDATES_PER_S, rates.1);
             sinks.write(&record)?;
         }
-        if crossed(run.config.track.checkpoint_every) {
+        if crossed(run.config().track.checkpoint_every) {
             sinks.jsonl.sync().map_err(metrics_error)?;
-            checkpoint::save(&run, &options.dir)?;
+            run.save(&options.dir)?;
         }
     }
     sinks.jsonl.sync().map_err(metrics_error)?;
-    checkpoint::save(&run, &options.dir)?;
-    outcome.env_steps = run.counters.env_steps;
-    outcome.best_return = run.counters.best_return;
+    run.save(&options.dir)?;
+    outcome.env_steps = run.counters().env_steps;
+    outcome.best_return = run.counters().best_return;
     outcome.wall_s = start.elapsed().as_secs_f64();
     progress.finish(&if outcome.interrupted {
         format!("interrupted at step {}; checkpoint written, continue with --resume", outcome.env_steps)
@@ -232,16 +234,11 @@ pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
     Ok(outcome)
 }
 
-fn evaluate_run(run: &mut Run, record: &mut Record) -> Result<Evaluation, TrainError> {
-    let config = run.config.clone();
-    let evaluation = evaluate(
-        &mut run.agent,
-        &config.env,
-        &config.env_options,
-        config.track.eval_episodes,
-        evaluation_seed(&config),
-    )?;
-    run.counters.last_return = Some(evaluation.mean());
+fn evaluate_run(run: &mut dyn AnyRun, record: &mut Record) -> Result<Evaluation, TrainError> {
+    let config = run.config().clone();
+    let evaluation =
+        evaluate(run.actor(), &config.env, &config.env_options, config.track.eval_episodes, evaluation_seed(&config))?;
+    run.counters_mut().last_return = Some(evaluation.mean());
     let (low, high) =
         evaluation.returns.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &r| (l.min(r), h.max(r)));
     let n = evaluation.returns.len() as f64;
@@ -257,13 +254,13 @@ fn evaluate_run(run: &mut Run, record: &mut Record) -> Result<Evaluation, TrainE
     Ok(evaluation)
 }
 
-fn stopped(run: &Run, dir: &Path, bad: &NotFinite) -> Result<TrainError, TrainError> {
+fn stopped(run: &dyn AnyRun, dir: &Path, bad: &NotFinite) -> Result<TrainError, TrainError> {
     let batch = dir.join("not-finite.safetensors");
     checkpoint::save_batch(&batch, bad)?;
     Ok(TrainError::NotFinite {
         what: bad.what.to_owned(),
-        env_step: run.counters.env_steps,
-        update: run.updates(),
+        env_step: run.counters().env_steps,
+        update: run.counters().updates(),
         batch,
     })
 }

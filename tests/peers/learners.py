@@ -1,0 +1,55 @@
+"""The baseline learners in PyTorch: written from the formulas of docs/src/algorithms, for speed on a processor, and used twice:
+as the peers of `gadm bench train` (updates.py) and as the second opinion on one update of each (oracle.py)."""
+
+import torch
+import torch.nn.functional as F
+
+from networks import mlp
+
+
+def optimiser(parameters, lr, eps=1e-8):
+    return torch.optim.Adam(parameters, lr=lr, eps=eps, fused=True)
+
+
+def descend(adam, loss, parameters):
+    for p, g in zip(parameters, torch.autograd.grad(loss, parameters)):
+        p.grad = g
+    adam.step()
+
+
+class Td3:
+    """Fujimoto et al. 2018, algorithm 1, with targets that follow on the policy's updates."""
+
+    def __init__(self, obs, slots, hidden, lr=1e-3, eps=1e-8, tau=0.005, delay=2, sigma=0.2, bound=0.5):
+        self.actor, self.actor_target = (mlp(obs, *hidden, slots) for _ in range(2))
+        self.critics = [mlp(obs + slots, *hidden, 1) for _ in range(2)]
+        self.critic_targets = [mlp(obs + slots, *hidden, 1) for _ in range(2)]
+        self.actor_target.load_state_dict(self.actor.state_dict())
+        for target, critic in zip(self.critic_targets, self.critics):
+            target.load_state_dict(critic.state_dict())
+        self.actor_parameters = list(self.actor.parameters())
+        self.critic_parameters = [p for critic in self.critics for p in critic.parameters()]
+        self.parameters = self.actor_parameters + self.critic_parameters
+        self.frozen = [p for net in [self.actor_target, *self.critic_targets] for p in net.parameters()]
+        self.actor_adam = optimiser(self.actor_parameters, lr, eps)
+        self.critic_adam = optimiser(self.critic_parameters, lr, eps)
+        self.tau, self.delay, self.sigma, self.bound, self.updates = tau, delay, sigma, bound, 0
+
+    def update(self, obs, actions, returns, bootstrap, next_obs, noise=None):
+        with torch.no_grad():
+            noise = torch.randn_like(actions) if noise is None else noise
+            smooth = (noise * self.sigma).clamp(-self.bound, self.bound)
+            pair = torch.cat([next_obs, (self.actor_target(next_obs).tanh() + smooth).clamp(-1, 1)], 1)
+            least = torch.minimum(*(target(pair) for target in self.critic_targets)).squeeze(1)
+            y = returns + bootstrap * least
+        pair = torch.cat([obs, actions], 1)
+        loss = sum(F.mse_loss(critic(pair).squeeze(1), y) for critic in self.critics)
+        descend(self.critic_adam, loss, self.critic_parameters)
+        self.updates += 1
+        policy_loss = None
+        if self.updates % self.delay == 0:
+            policy_loss = -self.critics[0](torch.cat([obs, self.actor(obs).tanh()], 1)).mean()
+            descend(self.actor_adam, policy_loss, self.actor_parameters)
+            with torch.no_grad():
+                torch._foreach_lerp_(self.frozen, self.parameters, self.tau)
+        return {"targets": y, "q_loss": loss, "policy_loss": policy_loss}

@@ -1,0 +1,63 @@
+//! What the training loop and the evaluation need of an algorithm.
+
+use crate::action_space::ActionSpace;
+use crate::nn::{Adam, Params};
+use crate::replay::RlBatch;
+use crate::seed::Rng;
+
+/// A policy as an evaluation sees it.
+pub trait Actor {
+    /// How actions are written.
+    fn space(&self) -> &ActionSpace;
+
+    /// Discrete choices that a decision is one of (latents, listed actions, types); 0 where there are none.
+    fn choices(&self) -> usize;
+
+    /// Greedy actions of `batch` observations (`B x O`) into `actions` (`B x slots`), without any noise; `chosen` gets the
+    /// choice of each row, and is left empty where there are none.
+    fn act(&mut self, obs: &[f32], batch: usize, chosen: &mut Vec<u32>, actions: &mut [f32]);
+}
+
+/// Random streams and progress that exploration depends on.
+pub struct Explorer<'a> {
+    /// Environment steps so far.
+    pub env_steps: u64,
+    /// Random choices.
+    pub choose: &'a mut Rng,
+    /// Noise on actions.
+    pub noise: &'a mut Rng,
+}
+
+/// Metrics of one update: names from [`crate::metrics::keys`] with their values.
+pub type Report = Vec<(&'static str, f32)>;
+
+/// A baseline: networks that learn from batches of a replay buffer.
+pub trait Learner: Actor {
+    /// Actions with exploration for `batch` observations, as [`Actor::act`] gives them without. Draws are per row.
+    fn explore(&mut self, obs: &[f32], batch: usize, by: Explorer, chosen: &mut Vec<u32>, actions: &mut [f32]);
+
+    /// Uniformly random actions for `batch` rows.
+    fn random(&mut self, _batch: usize, rng: &mut Rng, _chosen: &mut Vec<u32>, actions: &mut [f32]) {
+        let slots = self.space().slots();
+        for action in actions.chunks_exact_mut(slots) {
+            self.space().random(rng, action);
+        }
+    }
+
+    /// One update on a batch; fills `report`.
+    fn update(&mut self, batch: &RlBatch, noise: &mut Rng, report: &mut Report);
+
+    /// ε after that many environment steps, where the algorithm has one.
+    fn epsilon(&self, _env_steps: u64) -> Option<f64> {
+        None
+    }
+
+    /// Every network with its name, targets included; always in the same order.
+    fn networks(&mut self) -> Vec<(&'static str, &mut Params)>;
+
+    /// Every optimiser with the name of its network; always in the same order.
+    fn optimisers(&mut self) -> Vec<(&'static str, &mut Adam)>;
+
+    /// As an [`Actor`].
+    fn actor(&mut self) -> &mut dyn Actor;
+}

@@ -1,0 +1,133 @@
+//! Runs of the baseline algorithms: the same numbers for the same seed, also across interruptions; evaluation from the folder; and
+//! learning on small problems.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+mod runs;
+
+use gadm_trainer::algo::td3::Td3Config;
+use gadm_trainer::config::{Algorithm, Layer, Schedule, TrainConfig, resolve::resolve, to_toml};
+use gadm_trainer::nn::AdamConfig;
+use gadm_trainer::runner::train::evaluation_seed;
+use gadm_trainer::runner::{checkpoint, evaluate, new_run};
+use runs::{assert_same_run, metrics, resume, start};
+
+fn adam() -> AdamConfig {
+    AdamConfig { learning_rate: 1e-3, grad_clip: 0.0, ..AdamConfig::default() }
+}
+
+/// A run that ends within a second; its replay buffer wraps around.
+fn small(env: &str, algo: Algorithm) -> TrainConfig {
+    let mut c = TrainConfig { env: env.to_owned(), algo, seed: 3, steps: 768, ..TrainConfig::default() };
+    (c.track.log_every, c.track.eval_every, c.track.eval_episodes, c.track.checkpoint_every) = (64, 256, 2, 0);
+    c
+}
+
+fn td3() -> Td3Config {
+    let schedule = Schedule { envs: 2, steps_per_round: 4, updates: 4, batch: 32, capacity: 300, random_steps: 100 };
+    Td3Config { schedule, hidden: vec![16, 16], ..Td3Config::default() }
+}
+
+/// One of each algorithm, with an environment.
+fn every_baseline() -> Vec<TrainConfig> {
+    vec![small("pendulum", Algorithm::Td3(td3()))]
+}
+
+#[test]
+fn the_same_configuration_gives_the_same_run_and_the_seed_counts() {
+    for config in every_baseline() {
+        let dirs = [0, 1, 2].map(|_| tempfile::tempdir().unwrap());
+        let [a, b, other] = dirs.each_ref().map(|dir| dir.path().join("run"));
+        start(&a, &config).unwrap();
+        start(&b, &config).unwrap();
+        assert_same_run(&a, &b);
+        start(&other, &TrainConfig { seed: 4, ..config }).unwrap();
+        assert_ne!(metrics(&a), metrics(&other));
+    }
+}
+
+#[test]
+fn an_interrupted_run_is_the_uninterrupted_one() {
+    for config in every_baseline() {
+        let dirs = [0, 1].map(|_| tempfile::tempdir().unwrap());
+        let [whole, parts] = dirs.each_ref().map(|dir| dir.path().join("run"));
+        start(&whole, &config).unwrap();
+        // Between rounds and in every phase: the steps are no multiples of anything that is counted.
+        start(&parts, &TrainConfig { steps: 60, ..config.clone() }).unwrap();
+        for steps in [180, 412, 768] {
+            resume(&parts, Some(&TrainConfig { steps, ..config.clone() })).unwrap();
+        }
+        let uninterrupted: Vec<_> = metrics(&whole).lines().map(str::to_owned).collect();
+        let last = metrics(&parts).lines().last().unwrap().to_owned();
+        assert!(uninterrupted.contains(&last), "{}: {last}", config.algo.name().id());
+    }
+}
+
+#[test]
+fn the_best_networks_of_a_folder_give_the_evaluation_of_training() {
+    for config in every_baseline() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = dir.path().join("run");
+        let outcome = start(&run, &config).unwrap();
+        let mut trained = checkpoint::load_trained(&run, true).unwrap();
+        let again = evaluate(trained.actor(), &config.env, &config.env_options, 2, evaluation_seed(&config)).unwrap();
+        assert_eq!(Some(again.mean()), outcome.best_return, "{}", config.algo.name().id());
+        let mut last = checkpoint::load_trained(&run, false).unwrap();
+        let again = evaluate(last.actor(), &config.env, &config.env_options, 2, evaluation_seed(&config)).unwrap();
+        assert_eq!(again.returns, outcome.last.unwrap().returns, "{}", config.algo.name().id());
+        let refused = trained.agent().err().unwrap().to_string();
+        assert!(refused.contains(config.algo.name().id()) && refused.contains("gadm eval"), "{refused}");
+    }
+}
+
+/// Rule 8: an algorithm has a table of its own, and the tables of another are refused with both names.
+#[test]
+fn a_configuration_holds_the_tables_of_its_algorithm_only() {
+    let set = |words: &[&str]| {
+        let layers: Vec<_> = words.iter().map(|word| Layer::Set((*word).to_owned())).collect();
+        resolve::<TrainConfig>(&layers)
+    };
+    for config in every_baseline() {
+        let id = config.algo.name().id();
+        let config = set(&[&format!("algo={id}"), "env=pendulum"]).unwrap();
+        let text = to_toml(&config).unwrap();
+        assert!(text.contains(&format!("algo = \"{id}\"\n")) && text.contains(&format!("\n[{id}]\n")), "{text}");
+        for other in ["[dqn]", "[action_model]", "[round]"] {
+            assert!(!text.contains(other), "{text}");
+        }
+        let layer = Layer::Toml { origin: "config.toml".to_owned(), text };
+        assert_eq!(resolve::<TrainConfig>(&[layer]).unwrap(), config, "what is written is read back");
+        let refused = set(&[&format!("algo={id}"), "dqn.gamma=0.9"]).unwrap_err().to_string();
+        assert!(refused.contains("[dqn]") && refused.contains("gadm-dqn") && refused.contains(id), "{refused}");
+        let back = set(&[&format!("algo={id}"), "algo=gadm-dqn", "dqn.gamma=0.9"]).unwrap();
+        assert_eq!((back.algo, back.dqn.gamma), (Algorithm::GadmDqn, 0.9));
+    }
+    let refused = set(&["td3.gamma=0.9"]).unwrap_err().to_string();
+    assert!(refused.contains("td3") && refused.contains("gadm-dqn"), "{refused}");
+    let Algorithm::Td3(own) = set(&["algo=td3", "td3.gamma=0.9"]).unwrap().algo else { panic!("not TD3") };
+    assert_eq!(own, Td3Config { gamma: 0.9, ..Td3Config::default() });
+}
+
+/// Trains to the end and returns the mean return of 20 episodes before and after.
+fn learned(config: &TrainConfig) -> (f64, f64) {
+    let mut run = new_run(config.clone()).unwrap();
+    let score = |actor: &mut dyn gadm_trainer::algo::Actor| {
+        evaluate(actor, &config.env, &config.env_options, 20, 99).unwrap().mean()
+    };
+    let before = score(run.actor());
+    while !run.finished() {
+        run.round().unwrap().unwrap();
+    }
+    (before, score(run.actor()))
+}
+
+/// Swinging up and staying there gives about -150; an untrained policy gets -1,000 or less.
+#[test]
+fn td3_learns_to_hold_the_pendulum() {
+    let schedule = Schedule { batch: 100, random_steps: 1_000, ..Td3Config::default().schedule };
+    let own =
+        Td3Config { schedule, hidden: vec![64, 64], actor_adam: adam(), critic_adam: adam(), ..Td3Config::default() };
+    let config = TrainConfig { steps: 8_000, ..small("pendulum", Algorithm::Td3(own)) };
+    let (before, after) = learned(&config);
+    assert!(before < -800.0 && after > -300.0, "{before} -> {after}");
+}
