@@ -134,83 +134,6 @@ pub struct BusSummary {
     pub plant_errors: u64,
 }
 
-/// What the node counted, over the whole run.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct NodeSummary {
-    /// Action sets computed by the policy.
-    pub acted: u32,
-    /// Action sets that repeated the last action.
-    pub held: u32,
-    /// Action sets with the safe action.
-    pub safe: u32,
-    /// Control periods without a good observation set.
-    pub missed: u32,
-    /// Parts that came too late.
-    pub late: u32,
-    /// Incomplete observation sets.
-    pub torn: u32,
-    /// Ticks and parts out of sequence.
-    pub sequence: u32,
-    /// Frames with a wrong CRC, kind, length or header.
-    pub crc_errors: u32,
-    /// Sets with an invalid value.
-    pub invalid: u32,
-    /// Decisions with a cut observation or action.
-    pub clipped: u32,
-    /// Decisions in which the mask left no latent.
-    pub fallback: u32,
-    /// Entries into SAFE.
-    pub safe_entries: u32,
-    /// RUN requests refused.
-    pub refused: u32,
-    /// Bus errors.
-    pub bus_errors: u32,
-}
-
-impl From<Counters> for NodeSummary {
-    fn from(c: Counters) -> Self {
-        Self {
-            acted: c.acted,
-            held: c.held,
-            safe: c.safe,
-            missed: c.missed,
-            late: c.late,
-            torn: c.torn,
-            sequence: c.sequence,
-            crc_errors: c.crc_errors,
-            invalid: c.invalid,
-            clipped: c.clipped,
-            fallback: c.fallback,
-            safe_entries: c.safe_entries,
-            refused: c.refused,
-            bus_errors: c.bus_errors,
-        }
-    }
-}
-
-impl NodeSummary {
-    /// Both together.
-    #[must_use]
-    pub fn plus(self, other: Self) -> Self {
-        Self {
-            acted: self.acted.saturating_add(other.acted),
-            held: self.held.saturating_add(other.held),
-            safe: self.safe.saturating_add(other.safe),
-            missed: self.missed.saturating_add(other.missed),
-            late: self.late.saturating_add(other.late),
-            torn: self.torn.saturating_add(other.torn),
-            sequence: self.sequence.saturating_add(other.sequence),
-            crc_errors: self.crc_errors.saturating_add(other.crc_errors),
-            invalid: self.invalid.saturating_add(other.invalid),
-            clipped: self.clipped.saturating_add(other.clipped),
-            fallback: self.fallback.saturating_add(other.fallback),
-            safe_entries: self.safe_entries.saturating_add(other.safe_entries),
-            refused: self.refused.saturating_add(other.refused),
-            bus_errors: self.bus_errors.saturating_add(other.bus_errors),
-        }
-    }
-}
-
 /// A whole run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RunResult {
@@ -239,7 +162,7 @@ pub struct RunResult {
     /// Virtual time, seconds.
     pub virtual_s: f64,
     /// The node's counters; `None` where the target tells frames only.
-    pub node: Option<NodeSummary>,
+    pub node: Option<Counters>,
     /// The faults that were asked for, in the order of the scenario.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub faults: Vec<FaultReport>,

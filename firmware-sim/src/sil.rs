@@ -9,7 +9,7 @@ use std::rc::Rc;
 
 use gadm_envs::Env;
 use gadm_node::codec::{Layout, Profile};
-use gadm_node::{Flags, Frame, Link, LinkError, NodeConfig, NodeId, State, TimeSource};
+use gadm_node::{Counters, Flags, Frame, Link, LinkError, NodeConfig, NodeId, State, TimeSource};
 use gadm_runtime::Policy;
 use gadm_runtime::encode::AlignedImage;
 
@@ -20,7 +20,7 @@ use crate::fault::{Fault, FaultyLink, Injector, Signs, Watch};
 use crate::host::Host;
 use crate::plant_node::PlantNode;
 use crate::report::Recording;
-use crate::result::{BusSummary, EpisodeResult, NodeSummary, PolicySummary, RESULT_VERSION, ReturnSummary, RunResult};
+use crate::result::{BusSummary, EpisodeResult, PolicySummary, RESULT_VERSION, ReturnSummary, RunResult};
 use crate::target::{InProcess, Target};
 use crate::{SimError, episode_seed, interface};
 
@@ -240,7 +240,7 @@ struct Run<'o, 'p, T> {
     injector: Injector,
     watch: Watch<'p>,
     /// What the node counted before its last power cycle.
-    counted: NodeSummary,
+    counted: Counters,
 }
 
 impl<'o, 'p, T: Target> Run<'o, 'p, T> {
@@ -268,7 +268,7 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
             steps: 0,
             watch: Watch::new(*policy, injector.any()),
             injector,
-            counted: NodeSummary::default(),
+            counted: Counters::default(),
         }
     }
 
@@ -399,8 +399,8 @@ impl<'o, 'p, T: Target> Run<'o, 'p, T> {
     }
 
     /// What the node counted in the whole run, power cycles included.
-    fn node_counted(&self) -> Option<NodeSummary> {
-        self.target.status().map(|s| self.counted.plus(s.counters.into()))
+    fn node_counted(&self) -> Option<Counters> {
+        self.target.status().map(|s| self.counted.plus(s.counters))
     }
 
     fn sent<R>(

@@ -4,30 +4,16 @@
 mod support;
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Command;
 
 use serde_json::Value;
-use support::{direct, random_policy};
-
-fn sim(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_gadm-sim")).args(args).output().unwrap()
-}
-
-fn stderr(out: &Output) -> String {
-    String::from_utf8_lossy(&out.stderr).into_owned()
-}
-
-fn policy_file(dir: &Path, id: &str) -> String {
-    let env = gadm_envs::make(id).unwrap();
-    let path = dir.join(format!("{id}.bin"));
-    std::fs::write(&path, random_policy(env.spec(), 11).as_bytes()).unwrap();
-    path.to_str().unwrap().to_owned()
-}
+use support::direct;
+use support::program::{policy_file, sim, stderr};
 
 #[test]
 fn run_prints_a_table_for_people_and_json_for_programs() {
     let dir = tempfile::tempdir().unwrap();
-    let policy = policy_file(dir.path(), "moving");
+    let policy = policy_file(dir.path(), "moving", 11);
     let out = sim(&["run", &policy, "--episodes", "3", "--seed", "9", "--json"]);
     assert_eq!(out.status.code(), Some(0), "{}", stderr(&out));
     for word in ["return", "latents used", "bus load", "held, late, safe"] {
@@ -47,7 +33,7 @@ fn run_prints_a_table_for_people_and_json_for_programs() {
 #[test]
 fn quiet_is_quiet_and_criteria_have_their_own_exit_code() {
     let dir = tempfile::tempdir().unwrap();
-    let policy = policy_file(dir.path(), "moving");
+    let policy = policy_file(dir.path(), "moving", 11);
     let out = sim(&["run", &policy, "--episodes", "1", "--quiet"]);
     assert_eq!((out.status.code(), stderr(&out).as_str(), out.stdout.len()), (Some(0), "", 0));
     let out = sim(&["run", &policy, "--episodes", "1", "--min-return", "1e9"]);
@@ -60,7 +46,7 @@ fn quiet_is_quiet_and_criteria_have_their_own_exit_code() {
 #[test]
 fn errors_say_what_where_and_what_to_do() {
     let dir = tempfile::tempdir().unwrap();
-    let policy = policy_file(dir.path(), "moving");
+    let policy = policy_file(dir.path(), "moving", 11);
     let junk = dir.path().join("junk.bin");
     std::fs::write(&junk, b"hello, this is no policy").unwrap();
     let cases: [(&[&str], i32, &[&str]); 8] = [
@@ -86,7 +72,7 @@ fn errors_say_what_where_and_what_to_do() {
 #[test]
 fn damaged_policies_are_refused() {
     let dir = tempfile::tempdir().unwrap();
-    let good = std::fs::read(policy_file(dir.path(), "moving")).unwrap();
+    let good = std::fs::read(policy_file(dir.path(), "moving", 11)).unwrap();
     let mut wrong_bit = good.clone();
     wrong_bit[good.len() / 2] ^= 4;
     let mut newer = good.clone();
@@ -107,7 +93,7 @@ fn a_full_disk_is_an_error() {
         return;
     }
     let dir = tempfile::tempdir().unwrap();
-    let policy = policy_file(dir.path(), "moving");
+    let policy = policy_file(dir.path(), "moving", 11);
     let out = sim(&["run", &policy, "--episodes", "2", "--trace", "/dev/full"]);
     assert_eq!(out.status.code(), Some(1));
     assert!(stderr(&out).contains("cannot write /dev/full"), "{}", stderr(&out));
@@ -130,7 +116,7 @@ fn trace_decodes_what_run_wrote() {
     let log = dir.path().join("run.log");
     let log = log.to_str().unwrap();
     for (profile, id) in [("fd-f32", "inverted-pendulum-v5"), ("classic-i16", "moving")] {
-        let policy = policy_file(dir.path(), id);
+        let policy = policy_file(dir.path(), id, 11);
         let out = sim(&["run", &policy, "--episodes", "2", "--profile", profile, "--trace", log, "--json", "-q"]);
         let run: Value = serde_json::from_slice(&out.stdout).unwrap();
         let out = sim(&["trace", log, "--policy", &policy, "--json"]);
@@ -213,7 +199,7 @@ fn python_can_reads_the_traces() {
         }
     };
     let dir = tempfile::tempdir().unwrap();
-    let policy = policy_file(dir.path(), "pendulum");
+    let policy = policy_file(dir.path(), "pendulum", 11);
     for (profile, fd) in [("fd-f32", true), ("classic-i16", false)] {
         let log = dir.path().join(format!("{profile}.log"));
         let log = log.to_str().unwrap();

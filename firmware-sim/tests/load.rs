@@ -4,32 +4,14 @@
 
 mod support;
 
-use std::path::Path;
-use std::process::{Command, Output};
-
 use serde_json::Value;
-use support::random_policy;
-
-fn sim(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_gadm-sim")).args(args).output().unwrap()
-}
-
-fn stderr(out: &Output) -> String {
-    String::from_utf8_lossy(&out.stderr).into_owned()
-}
-
-fn policy_file(dir: &Path, id: &str) -> String {
-    let env = gadm_envs::make(id).unwrap();
-    let path = dir.join(format!("{id}.bin"));
-    std::fs::write(&path, random_policy(env.spec(), 11).as_bytes()).unwrap();
-    path.to_str().unwrap().to_owned()
-}
+use support::program::{policy_file, sim, stderr};
 
 #[test]
 fn humanoid_does_not_fit_classic_and_the_answer_says_what_does() {
     let dir = tempfile::tempdir().unwrap();
     // 376 observations, the longest of all environments.
-    let policy = policy_file(dir.path(), "humanoid-v4");
+    let policy = policy_file(dir.path(), "humanoid-v4", 11);
     let out = sim(&["bus", "load", &policy, "--profile", "classic-i16", "--bitrate", "500000", "--json"]);
     assert_eq!(out.status.code(), Some(3), "{}", stderr(&out));
     let text = stderr(&out);
@@ -65,7 +47,7 @@ fn humanoid_does_not_fit_classic_and_the_answer_says_what_does() {
 #[test]
 fn hopper_fits_both_profiles() {
     let dir = tempfile::tempdir().unwrap();
-    let policy = policy_file(dir.path(), "hopper-v5");
+    let policy = policy_file(dir.path(), "hopper-v5", 11);
     let out = sim(&["bus", "load", &policy, "--bitrate", "500000", "--json"]);
     assert_eq!(out.status.code(), Some(0), "{}", stderr(&out));
     let json: Value = serde_json::from_slice(&out.stdout).unwrap();

@@ -60,6 +60,7 @@ extern crate std;
 
 pub mod assemble;
 pub mod codec;
+mod coded;
 pub mod control;
 pub mod frame;
 pub mod link;

@@ -1,10 +1,14 @@
 //! Why an image is not run, as one byte for the bus: finer than the fault code, coarser than the runtime's error.
 
 use gadm_runtime::LoadError;
+use strum::{FromRepr, IntoStaticStr, VariantArray};
+
+use crate::coded::coded;
 
 /// Why an image is not run. The number is the one on the wire.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, IntoStaticStr, VariantArray)]
 #[repr(u8)]
+#[strum(serialize_all = "SCREAMING_SNAKE_CASE")]
 pub enum Reason {
     /// It is run, or was not tried.
     None = 0,
@@ -42,64 +46,9 @@ pub enum Reason {
     Settings = 16,
 }
 
+coded!(Reason);
+
 impl Reason {
-    /// All reasons, by number.
-    pub const ALL: [Self; 17] = [
-        Self::None,
-        Self::Erased,
-        Self::NotAPolicy,
-        Self::TextDamage,
-        Self::Truncated,
-        Self::Misaligned,
-        Self::HeaderChecksum,
-        Self::Checksum,
-        Self::Version,
-        Self::WeightKind,
-        Self::InterfaceHash,
-        Self::Content,
-        Self::Scratch,
-        Self::Layout,
-        Self::SelfTest,
-        Self::NotConfirmed,
-        Self::Settings,
-    ];
-
-    /// The number on the wire.
-    #[must_use]
-    pub const fn code(self) -> u8 {
-        self as u8
-    }
-
-    /// The reason of a number.
-    #[must_use]
-    pub fn from_code(code: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|r| r.code() == code)
-    }
-
-    /// Name in documents and tools.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::None => "NONE",
-            Self::Erased => "ERASED",
-            Self::NotAPolicy => "NOT_A_POLICY",
-            Self::TextDamage => "TEXT_DAMAGE",
-            Self::Truncated => "TRUNCATED",
-            Self::Misaligned => "MISALIGNED",
-            Self::HeaderChecksum => "HEADER_CHECKSUM",
-            Self::Checksum => "CHECKSUM",
-            Self::Version => "VERSION",
-            Self::WeightKind => "WEIGHT_KIND",
-            Self::InterfaceHash => "INTERFACE_HASH",
-            Self::Content => "CONTENT",
-            Self::Scratch => "SCRATCH",
-            Self::Layout => "LAYOUT",
-            Self::SelfTest => "SELF_TEST",
-            Self::NotConfirmed => "NOT_CONFIRMED",
-            Self::Settings => "SETTINGS",
-        }
-    }
-
     /// What it means, in one line.
     #[must_use]
     pub const fn meaning(self) -> &'static str {
@@ -149,7 +98,7 @@ mod tests {
 
     #[test]
     fn codes_are_unique_and_come_back() {
-        for r in Reason::ALL {
+        for &r in Reason::ALL {
             assert_eq!(Reason::from_code(r.code()), Some(r));
         }
         assert_eq!(Reason::from_code(17), None);

@@ -5,6 +5,10 @@
 //!              └────► NO_POLICY            (RESET leads back to BOOT from all but the first two)
 //! ```
 
+use strum::{FromRepr, IntoStaticStr, VariantArray};
+
+use crate::coded::coded;
+
 /// Control periods without a good observation set after which the node goes to [`State::Safe`].
 pub const STALE_LIMIT: u32 = 3;
 /// Sets with an invalid value in a row after which the node goes to [`State::Safe`].
@@ -28,12 +32,14 @@ pub const CRC_LIMIT_FRAMES: u32 = 3;
 pub const CRC_WINDOW_US: u64 = 1_000_000;
 
 /// State of the node. The number is the one on the wire.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, FromRepr, IntoStaticStr, VariantArray)]
 #[repr(u8)]
+#[strum(serialize_all = "SCREAMING_SNAKE_CASE")]
 pub enum State {
     /// Reads the policy image.
     Boot = 0,
     /// Runs the policy's own vectors.
+    #[strum(serialize = "SELFTEST")]
     SelfTest = 1,
     /// There is no policy that may be run.
     NoPolicy = 2,
@@ -47,48 +53,20 @@ pub enum State {
     Fault = 6,
 }
 
-impl State {
-    /// All states, by number.
-    pub const ALL: [Self; 7] =
-        [Self::Boot, Self::SelfTest, Self::NoPolicy, Self::Ready, Self::Run, Self::Safe, Self::Fault];
-
-    /// The number on the wire.
-    #[must_use]
-    pub const fn code(self) -> u8 {
-        self as u8
-    }
-
-    /// Name in documents and tools.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Boot => "BOOT",
-            Self::SelfTest => "SELFTEST",
-            Self::NoPolicy => "NO_POLICY",
-            Self::Ready => "READY",
-            Self::Run => "RUN",
-            Self::Safe => "SAFE",
-            Self::Fault => "FAULT",
-        }
-    }
-
-    /// The state of a number.
-    #[must_use]
-    pub fn from_code(code: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|s| s.code() == code)
-    }
-}
+coded!(State);
 
 /// Why the node is not (or not wholly) well. The number is the one on the wire; from 64 on it is a warning, which does
 /// not change the state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, IntoStaticStr, VariantArray)]
 #[repr(u8)]
+#[strum(serialize_all = "SCREAMING_SNAKE_CASE")]
 pub enum Fault {
     /// Nothing to report.
     None = 0,
     /// The image is not a policy that can be run.
     PolicyLoad = 1,
     /// The policy failed its own vectors.
+    #[strum(serialize = "POLICY_SELFTEST")]
     PolicySelfTest = 2,
     /// The policy does not fit the bus profile.
     PolicyLayout = 3,
@@ -118,56 +96,9 @@ pub enum Fault {
     Restarted = 67,
 }
 
+coded!(Fault);
+
 impl Fault {
-    /// All faults, by number.
-    pub const ALL: [Self; 16] = [
-        Self::None,
-        Self::PolicyLoad,
-        Self::PolicySelfTest,
-        Self::PolicyLayout,
-        Self::ObservationLost,
-        Self::ObservationInvalid,
-        Self::TickLost,
-        Self::HostLost,
-        Self::CrcErrors,
-        Self::BusOff,
-        Self::BusOffRepeated,
-        Self::Estop,
-        Self::PeriodJitter,
-        Self::PeriodBias,
-        Self::SlotFallback,
-        Self::Restarted,
-    ];
-
-    /// The number on the wire.
-    #[must_use]
-    pub const fn code(self) -> u8 {
-        self as u8
-    }
-
-    /// Name in documents and tools.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::None => "NONE",
-            Self::PolicyLoad => "POLICY_LOAD",
-            Self::PolicySelfTest => "POLICY_SELFTEST",
-            Self::PolicyLayout => "POLICY_LAYOUT",
-            Self::ObservationLost => "OBSERVATION_LOST",
-            Self::ObservationInvalid => "OBSERVATION_INVALID",
-            Self::TickLost => "TICK_LOST",
-            Self::HostLost => "HOST_LOST",
-            Self::CrcErrors => "CRC_ERRORS",
-            Self::BusOff => "BUS_OFF",
-            Self::BusOffRepeated => "BUS_OFF_REPEATED",
-            Self::Estop => "ESTOP",
-            Self::PeriodJitter => "PERIOD_JITTER",
-            Self::PeriodBias => "PERIOD_BIAS",
-            Self::SlotFallback => "SLOT_FALLBACK",
-            Self::Restarted => "RESTARTED",
-        }
-    }
-
     /// What it means, in one line.
     #[must_use]
     pub const fn meaning(self) -> &'static str {
@@ -191,12 +122,6 @@ impl Fault {
             }
             Self::Restarted => "warning: the watchdog or a fault of the core restarted the board; until the first RUN",
         }
-    }
-
-    /// The fault of a number.
-    #[must_use]
-    pub fn from_code(code: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|f| f.code() == code)
     }
 }
 
@@ -233,27 +158,6 @@ pub enum Event {
     BusOffRepeated,
     /// ESTOP.
     Estop,
-}
-
-impl Event {
-    /// All events.
-    pub const ALL: [Self; 15] = [
-        Self::Loaded,
-        Self::LoadFailed,
-        Self::SelfTestPassed,
-        Self::SelfTestFailed,
-        Self::RunRequest,
-        Self::StopRequest,
-        Self::ResetRequest,
-        Self::ObservationLost,
-        Self::ObservationInvalid,
-        Self::TickLost,
-        Self::HostLost,
-        Self::CrcErrors,
-        Self::BusOff,
-        Self::BusOffRepeated,
-        Self::Estop,
-    ];
 }
 
 /// One arrow.
@@ -328,7 +232,7 @@ mod tests {
             }
         }
         assert_eq!(reached.len(), State::ALL.len());
-        for s in State::ALL {
+        for &s in State::ALL {
             assert!(TRANSITIONS.iter().any(|t| t.from == s), "{s:?} has no way out");
         }
     }
@@ -344,10 +248,10 @@ mod tests {
 
     #[test]
     fn codes_are_unique_and_come_back() {
-        for s in State::ALL {
+        for &s in State::ALL {
             assert_eq!(State::from_code(s.code()), Some(s));
         }
-        for f in Fault::ALL {
+        for &f in Fault::ALL {
             assert_eq!(Fault::from_code(f.code()), Some(f));
         }
         assert_eq!(State::from_code(7), None);

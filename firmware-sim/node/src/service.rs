@@ -2,6 +2,9 @@
 //!
 //! All of them are classic frames in both profiles.
 
+use strum::{FromRepr, IntoStaticStr, VariantArray};
+
+use crate::coded::coded;
 use crate::frame::{Frame, Kind, standard};
 use crate::protocol::{Function, NodeId, address, identifier};
 
@@ -20,37 +23,19 @@ fn read<const N: usize>(frame: &Frame, function: Function) -> Option<(u8, [u8; N
 }
 
 /// What MODE asks for. The numbers are those of CANopen's NMT.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, IntoStaticStr, VariantArray)]
+#[repr(u8)]
+#[strum(serialize_all = "lowercase")]
 pub enum ModeCommand {
     /// Start control.
-    Run,
+    Run = 1,
     /// Stop control: the safe action once, then silence.
-    Stop,
+    Stop = 2,
     /// Start again from the beginning, the policy included.
-    Reset,
+    Reset = 129,
 }
 
-impl ModeCommand {
-    /// The number on the wire.
-    #[must_use]
-    pub const fn code(self) -> u8 {
-        match self {
-            Self::Run => 1,
-            Self::Stop => 2,
-            Self::Reset => 129,
-        }
-    }
-
-    /// Lower-case name.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Run => "run",
-            Self::Stop => "stop",
-            Self::Reset => "reset",
-        }
-    }
-}
+coded!(ModeCommand);
 
 /// MODE.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,9 +57,7 @@ impl Mode {
     #[must_use]
     pub fn parse(frame: &Frame) -> Option<Self> {
         let (_, [command, node]) = read(frame, Function::Mode)?;
-        let command =
-            [ModeCommand::Run, ModeCommand::Stop, ModeCommand::Reset].into_iter().find(|c| c.code() == command)?;
-        Some(Self { command, node })
+        Some(Self { command: ModeCommand::from_code(command)?, node })
     }
 }
 
@@ -128,9 +111,10 @@ impl Tick {
     }
 }
 
-/// What the value of a heartbeat or of a reply means.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// What the value of a heartbeat or of a reply means. Heartbeats show the pages in the order of their numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, IntoStaticStr, VariantArray)]
 #[repr(u8)]
+#[strum(serialize_all = "snake_case")]
 pub enum Page {
     /// Low half of the interface hash.
     InterfaceLow = 0,
@@ -164,58 +148,7 @@ pub enum Page {
     Slots = 13,
 }
 
-impl Page {
-    /// All pages in the order in which heartbeats show them.
-    pub const ALL: [Self; 14] = [
-        Self::InterfaceLow,
-        Self::InterfaceHigh,
-        Self::PolicyCrc,
-        Self::Slot,
-        Self::InferenceUs,
-        Self::Misses,
-        Self::Jitter,
-        Self::CrcErrors,
-        Self::TornSets,
-        Self::Sequence,
-        Self::Invalid,
-        Self::SafeEntries,
-        Self::PolicyError,
-        Self::Slots,
-    ];
-
-    /// The number on the wire.
-    #[must_use]
-    pub const fn code(self) -> u8 {
-        self as u8
-    }
-
-    /// Name, as decoders print it.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::InterfaceLow => "interface_low",
-            Self::InterfaceHigh => "interface_high",
-            Self::PolicyCrc => "policy_crc",
-            Self::Slot => "slot",
-            Self::InferenceUs => "inference_us",
-            Self::Misses => "misses",
-            Self::Jitter => "jitter",
-            Self::CrcErrors => "crc_errors",
-            Self::TornSets => "torn_sets",
-            Self::Sequence => "sequence",
-            Self::Invalid => "invalid",
-            Self::SafeEntries => "safe_entries",
-            Self::PolicyError => "policy_error",
-            Self::Slots => "slots",
-        }
-    }
-
-    /// The page of a number.
-    #[must_use]
-    pub fn from_code(code: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|p| p.code() == code)
-    }
-}
+coded!(Page);
 
 /// HEARTBEAT of a node. State and fault stay numbers here, so that a newer node can be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -441,7 +374,7 @@ mod tests {
 
     #[test]
     fn every_service_message_survives_the_wire() {
-        for command in [ModeCommand::Run, ModeCommand::Stop, ModeCommand::Reset] {
+        for &command in ModeCommand::ALL {
             let m = Mode { command, node: 7 };
             assert_eq!(Mode::parse(&m.frame()), Some(m));
         }

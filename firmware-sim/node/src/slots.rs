@@ -21,7 +21,9 @@ use core::cmp::Reverse;
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 use gadm_runtime::Policy;
+use strum::{FromRepr, IntoStaticStr, VariantArray};
 
+use crate::coded::coded;
 use crate::store::{Candidate, Operation, Refusal, Store};
 use crate::transfer::{Resume, Transfer};
 
@@ -80,8 +82,9 @@ pub trait Flash<'p> {
 }
 
 /// What the marks say about a slot. The number is the one on the wire.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, IntoStaticStr, VariantArray)]
 #[repr(u8)]
+#[strum(serialize_all = "lowercase")]
 pub enum SlotState {
     /// Erased.
     Empty = 0,
@@ -101,46 +104,9 @@ pub enum SlotState {
     Damaged = 7,
 }
 
+coded!(SlotState);
+
 impl SlotState {
-    /// All states, by number.
-    pub const ALL: [Self; 8] = [
-        Self::Empty,
-        Self::Flashed,
-        Self::Receiving,
-        Self::Staged,
-        Self::Trial,
-        Self::Confirmed,
-        Self::Revoked,
-        Self::Damaged,
-    ];
-
-    /// The number on the wire.
-    #[must_use]
-    pub const fn code(self) -> u8 {
-        self as u8
-    }
-
-    /// Lower-case name, as tools print it.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Empty => "empty",
-            Self::Flashed => "flashed",
-            Self::Receiving => "receiving",
-            Self::Staged => "staged",
-            Self::Trial => "trial",
-            Self::Confirmed => "confirmed",
-            Self::Revoked => "revoked",
-            Self::Damaged => "damaged",
-        }
-    }
-
-    /// The state of a number.
-    #[must_use]
-    pub fn from_code(code: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|s| s.code() == code)
-    }
-
     /// The policy may be booted without being asked for.
     const fn boots(self) -> bool {
         matches!(self, Self::Flashed | Self::Confirmed)

@@ -1,5 +1,8 @@
 //! Where policy images lie, as the node sees it: images to try at boot, and operations that bring a new one.
 
+use strum::{FromRepr, IntoStaticStr, VariantArray};
+
+use crate::coded::coded;
 use crate::slots::SlotState;
 
 /// An image to boot.
@@ -14,8 +17,9 @@ pub struct Candidate<'p> {
 }
 
 /// Why an operation of a policy transfer was refused. The number is the one in the page byte of the reply.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromRepr, IntoStaticStr, VariantArray)]
 #[repr(u8)]
+#[strum(serialize_all = "SCREAMING_SNAKE_CASE")]
 pub enum Refusal {
     /// There is no such operation.
     Unknown = 0,
@@ -45,36 +49,9 @@ pub enum Refusal {
     Older = 12,
 }
 
+coded!(Refusal);
+
 impl Refusal {
-    /// All reasons, by number.
-    pub const ALL: [Self; 13] = [
-        Self::Unknown,
-        Self::NotWritable,
-        Self::State,
-        Self::Length,
-        Self::Order,
-        Self::Offset,
-        Self::BlockCrc,
-        Self::Flash,
-        Self::ImageCrc,
-        Self::Load,
-        Self::Layout,
-        Self::SelfTest,
-        Self::Older,
-    ];
-
-    /// The number on the wire.
-    #[must_use]
-    pub const fn code(self) -> u8 {
-        self as u8
-    }
-
-    /// The reason of a number.
-    #[must_use]
-    pub fn from_code(code: u8) -> Option<Self> {
-        Self::ALL.into_iter().find(|r| r.code() == code)
-    }
-
     /// What it means, in one line.
     #[must_use]
     pub const fn meaning(self) -> &'static str {

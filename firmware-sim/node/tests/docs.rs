@@ -96,7 +96,7 @@ fn flags() -> String {
 
 fn pages() -> String {
     let mut t = String::from("| page | value |\n| --- | --- |\n");
-    for page in Page::ALL {
+    for &page in Page::ALL {
         writeln!(t, "| {} | `{}` |", page.code(), page.name()).unwrap();
     }
     t
@@ -104,7 +104,7 @@ fn pages() -> String {
 
 fn states() -> String {
     let mut t = String::from("| number | state | what the node does |\n| --- | --- | --- |\n");
-    for state in State::ALL {
+    for &state in State::ALL {
         let does = match state {
             State::Boot => "reads the policy image",
             State::SelfTest => "runs the policy's own vectors",
@@ -169,9 +169,9 @@ fn reasons() -> String {
 }
 
 fn refusals() -> String {
-    let mut t = String::from("| number | meaning |\n| --- | --- |\n");
+    let mut t = String::from("| number | name | meaning |\n| --- | --- | --- |\n");
     for r in Refusal::ALL {
-        writeln!(t, "| {} | {} |", r.code(), r.meaning()).unwrap();
+        writeln!(t, "| {} | {} | {} |", r.code(), r.name(), r.meaning()).unwrap();
     }
     t
 }

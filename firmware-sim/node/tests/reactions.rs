@@ -473,7 +473,7 @@ fn heartbeats_come_every_100_ms_and_on_change_with_all_pages() {
         rig.steps(1000);
         let more = &rig.beats[n..];
         assert!((99..=100).contains(&more.len()), "{}", more.len());
-        for page in Page::ALL {
+        for &page in Page::ALL {
             assert!(more.iter().any(|b| b.page == page.code()), "{page:?}");
         }
         for pair in rig.beats.windows(2) {

@@ -149,14 +149,13 @@ fn plain(function: Function, field: &Field, at: usize) -> Vec<DbSignal> {
             OBSERVATION_FLAGS.iter().enumerate().map(|(i, &name)| integer(name, at + i, 1)).collect()
         }
         (Function::Mode, "command") => {
-            let commands = [ModeCommand::Run, ModeCommand::Stop, ModeCommand::Reset];
-            vec![DbSignal { values: commands.map(|c| (i64::from(c.code()), c.name().to_owned())).to_vec(), ..whole }]
+            vec![DbSignal { values: names(ModeCommand::ALL, ModeCommand::code, ModeCommand::name), ..whole }]
         }
         (Function::Heartbeat, "state") => {
-            vec![DbSignal { values: State::ALL.map(|s| (i64::from(s.code()), s.name().to_owned())).to_vec(), ..whole }]
+            vec![DbSignal { values: names(State::ALL, State::code, State::name), ..whole }]
         }
         (Function::Heartbeat, "fault") => {
-            vec![DbSignal { values: Fault::ALL.map(|f| (i64::from(f.code()), f.name().to_owned())).to_vec(), ..whole }]
+            vec![DbSignal { values: names(Fault::ALL, Fault::code, Fault::name), ..whole }]
         }
         (Function::Heartbeat, "page") => vec![DbSignal { values: page_names(), mux: Mux::Selector, ..whole }],
         (Function::Heartbeat, "value") => Page::ALL.iter().flat_map(|&page| page_signals(page, at)).collect(),
@@ -188,8 +187,13 @@ fn operations() -> Vec<(i64, String)> {
     known.map(|(code, name)| (i64::from(code), name.to_owned())).to_vec()
 }
 
+/// Numbers and names of an enumeration.
+pub(super) fn names<T: Copy>(all: &[T], code: fn(T) -> u8, name: fn(T) -> &'static str) -> Vec<(i64, String)> {
+    all.iter().map(|&value| (i64::from(code(value)), name(value).to_owned())).collect()
+}
+
 fn page_names() -> Vec<(i64, String)> {
-    Page::ALL.map(|p| (i64::from(p.code()), p.name().to_owned())).to_vec()
+    names(Page::ALL, Page::code, Page::name)
 }
 
 /// The four bytes of a heartbeat as the page says.
@@ -197,7 +201,7 @@ fn page_signals(page: Page, at: usize) -> Vec<DbSignal> {
     let mux = Mux::Page(page.code());
     let part = |name: &str, from, bits| DbSignal { mux, ..integer(name, at + from, bits) };
     let permille = |name, from| DbSignal { unit: "permille".to_owned(), ..part(name, from, 16) };
-    let slot_states = || SlotState::ALL.map(|s| (i64::from(s.code()), s.name().to_owned())).to_vec();
+    let slot_states = || names(SlotState::ALL, SlotState::code, SlotState::name);
     match page {
         Page::Jitter => vec![
             DbSignal {
@@ -213,7 +217,7 @@ fn page_signals(page: Page, at: usize) -> Vec<DbSignal> {
         ],
         Page::PolicyError => vec![
             DbSignal {
-                values: Reason::ALL.map(|r| (i64::from(r.code()), r.name().to_owned())).to_vec(),
+                values: names(Reason::ALL, Reason::code, Reason::name),
                 doc: "why an image was not run".to_owned(),
                 ..part("reason", 0, 8)
             },

@@ -6,6 +6,7 @@ use gadm_node::protocol::Role;
 use gadm_node::service::Page;
 use gadm_node::{Fault, Profile, State};
 
+use super::signals::names;
 use super::{Database, DbMessage, DbSignal, Mux, Number};
 
 /// What `VFrameFormat` calls the formats; index 0 is a classic and 14 an FD frame with an 11-bit identifier.
@@ -44,9 +45,9 @@ fn db_text(out: &mut String, db: &Database) -> std::fmt::Result {
     writeln!(out, "BS_:\n\nBU_: HOST PLANT NODE\n")?;
     let table =
         |out: &mut String, name: &str, rows: &[(i64, String)]| writeln!(out, "VAL_TABLE_ {name}{};", values(rows));
-    table(out, "NodeState", &State::ALL.map(|s| (i64::from(s.code()), s.name().to_owned())))?;
-    table(out, "NodeFault", &Fault::ALL.map(|f| (i64::from(f.code()), f.name().to_owned())))?;
-    table(out, "Page", &Page::ALL.map(|p| (i64::from(p.code()), p.name().to_owned())))?;
+    table(out, "NodeState", &names(State::ALL, State::code, State::name))?;
+    table(out, "NodeFault", &names(Fault::ALL, Fault::code, Fault::name))?;
+    table(out, "Page", &names(Page::ALL, Page::code, Page::name))?;
     writeln!(out)?;
     for message in &db.messages {
         writeln!(out, "BO_ {} {}: {} {}", message.id, message.name, message.len, sender(message))?;

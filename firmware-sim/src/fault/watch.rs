@@ -1,10 +1,10 @@
 //! What faults did: when they were noticed, when the actuators were safe, and how wrong an action was.
 
-use gadm_node::Fault;
+use gadm_node::{Counters, Fault};
 use gadm_runtime::{ActionHead, Policy, Scratch};
 
 use crate::plant_node::Applied;
-use crate::result::{EpisodeFaults, NodeSummary};
+use crate::result::EpisodeFaults;
 
 /// What can be seen after one control period.
 #[derive(Clone, Copy, Debug)]
@@ -14,7 +14,7 @@ pub struct Signs {
     /// What the node's heartbeat says.
     pub fault: Fault,
     /// What the node counted; `None` where the target tells frames only.
-    pub counted: Option<NodeSummary>,
+    pub counted: Option<Counters>,
 }
 
 /// Looks at every control period of a run with faults.
@@ -27,7 +27,7 @@ pub struct Watch<'p> {
     wanted: Vec<f32>,
     decided: bool,
     ranges: Vec<f64>,
-    before: Option<NodeSummary>,
+    before: Option<Counters>,
     found: EpisodeFaults,
 }
 
@@ -56,7 +56,7 @@ impl<'p> Watch<'p> {
     }
 
     /// Forgets the last episode; `counted` is what the node has counted until now.
-    pub fn begin_episode(&mut self, counted: Option<NodeSummary>) {
+    pub fn begin_episode(&mut self, counted: Option<Counters>) {
         self.found = NOTHING;
         self.before = counted;
     }
@@ -98,11 +98,10 @@ impl<'p> Watch<'p> {
         use gadm_node::Flags;
         let flags = signs.applied.flags;
         let flagged = [Flags::HELD, Flags::SAFE, Flags::LATE].into_iter().any(|f| flags.contains(f));
-        let zero = NodeSummary::default();
+        let zero = Counters::default();
         let (now, before) = (signs.counted.unwrap_or(zero), self.before.unwrap_or(zero));
-        let troubles = |s: NodeSummary| {
-            [s.missed, s.late, s.torn, s.sequence, s.crc_errors, s.invalid, s.safe_entries, s.bus_errors]
-        };
+        let troubles =
+            |s: Counters| [s.missed, s.late, s.torn, s.sequence, s.crc_errors, s.invalid, s.safe_entries, s.bus_errors];
         let counted = troubles(now).into_iter().zip(troubles(before)).any(|(now, before)| now > before);
         flagged || !signs.applied.fresh || counted || signs.fault != Fault::None
     }

@@ -3,8 +3,8 @@
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use gadm_envs::render::{Camera, Scene, Shot};
-use gadm_envs::{Disturbance, Env, EnvError, EnvSpec, EnvState, Step};
+use gadm_envs::render::{Camera, Shot};
+use gadm_envs::{Env, Step, Watched, Watcher};
 use gadm_node::protocol::{Function, NO_LATENT, address};
 use gadm_node::service::{Heartbeat, Tick};
 use gadm_node::{Flags, Frame, State};
@@ -32,8 +32,6 @@ impl PartialEq for Recording {
 
 #[derive(Debug, Default)]
 struct Tape {
-    /// Episodes that began.
-    episodes: u64,
     /// The first episode ended.
     ended: bool,
     rewards: Vec<f64>,
@@ -78,7 +76,7 @@ impl Recording {
         let camera = Camera::new(FILM_WIDTH);
         let env = camera.before(env);
         self.tape().camera = Some(camera);
-        Box::new(WatchedEnv { env, recording: self.clone() })
+        Box::new(Watched::new(env, self.clone()))
     }
 
     /// Puts the recording before a tap, or where none is.
@@ -143,48 +141,15 @@ impl Episode {
     }
 }
 
-struct WatchedEnv {
-    env: Box<dyn Env>,
-    recording: Recording,
-}
-
-impl Env for WatchedEnv {
-    fn spec(&self) -> &EnvSpec {
-        self.env.spec()
+impl Watcher for Recording {
+    fn step(&mut self, _env: &dyn Env, action: &[f32], step: &Step) {
+        let mut tape = self.tape();
+        tape.rewards.push(step.reward);
+        tape.actions.push(action.to_vec());
     }
 
-    fn reset(&mut self, seed: u64, obs: &mut [f32]) {
-        self.env.reset(seed, obs);
-        let mut tape = self.recording.tape();
-        tape.episodes += 1;
-        tape.ended |= tape.episodes > 1;
-    }
-
-    fn step(&mut self, action: &[f32], obs: &mut [f32]) -> Step {
-        let step = self.env.step(action, obs);
-        let mut tape = self.recording.tape();
-        if !tape.ended {
-            tape.rewards.push(step.reward);
-            tape.actions.push(action.to_vec());
-            tape.ended = step.terminated || step.truncated;
-        }
-        step
-    }
-
-    fn state(&self) -> EnvState {
-        self.env.state()
-    }
-
-    fn restore(&mut self, state: &EnvState) -> Result<(), EnvError> {
-        self.env.restore(state)
-    }
-
-    fn scene(&self) -> Option<Scene> {
-        self.env.scene()
-    }
-
-    fn disturb(&mut self, disturbance: Disturbance) -> Result<(), EnvError> {
-        self.env.disturb(disturbance)
+    fn end(&mut self) {
+        self.tape().ended = true;
     }
 }
 

@@ -1,6 +1,8 @@
 //! Small policies for real environments, and the episode without a bus that a run must equal.
 #![allow(dead_code, unreachable_pub, clippy::unwrap_used, reason = "shared by several test binaries, each uses a part")]
 
+pub mod program;
+
 use gadm_envs::{Env, EnvSpec};
 use gadm_runtime::encode::{
     ActionSlot, AlignedImage, Dense, FileOptions, FloatDecoder, FloatModel, HeadEncoding, Interface, ObservationSlot,

@@ -30,6 +30,7 @@ mod sampling;
 mod seed;
 mod task;
 mod vec_env;
+mod watched;
 mod wrappers;
 
 pub use classic::toy_env::{RewardConvention, StartState, ToyOptions};
@@ -40,4 +41,5 @@ pub use mujoco::plant::warning_count as mujoco_warning_count;
 pub use registry::{EnvOptions, ids, make, make_with};
 pub use seed::episode_seed;
 pub use vec_env::{EpisodeEnd, SlotState, StepBatch, VecEnv, VecEnvState, reset_seed};
+pub use watched::{Watched, Watcher};
 pub use wrappers::{ExtraDims, TimeLimit};

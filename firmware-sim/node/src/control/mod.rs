@@ -7,6 +7,7 @@ mod send;
 mod transfer;
 
 use gadm_runtime::{Policy, Scratch};
+use serde::Serialize;
 
 use crate::assemble::Assembler;
 use crate::codec::{Layout, Profile};
@@ -71,7 +72,7 @@ impl Default for NodeConfig {
 }
 
 /// What the node counted since it booted. All counters saturate.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counters {
     /// Action sets computed by the policy.
     pub acted: u32,
@@ -101,6 +102,29 @@ pub struct Counters {
     pub refused: u32,
     /// Frames that the bus did not take, and other bus errors.
     pub bus_errors: u32,
+}
+
+impl Counters {
+    /// Both together, as of a node before and after a boot.
+    #[must_use]
+    pub const fn plus(self, other: Self) -> Self {
+        Self {
+            acted: self.acted.saturating_add(other.acted),
+            held: self.held.saturating_add(other.held),
+            safe: self.safe.saturating_add(other.safe),
+            missed: self.missed.saturating_add(other.missed),
+            late: self.late.saturating_add(other.late),
+            torn: self.torn.saturating_add(other.torn),
+            sequence: self.sequence.saturating_add(other.sequence),
+            crc_errors: self.crc_errors.saturating_add(other.crc_errors),
+            invalid: self.invalid.saturating_add(other.invalid),
+            clipped: self.clipped.saturating_add(other.clipped),
+            fallback: self.fallback.saturating_add(other.fallback),
+            safe_entries: self.safe_entries.saturating_add(other.safe_entries),
+            refused: self.refused.saturating_add(other.refused),
+            bus_errors: self.bus_errors.saturating_add(other.bus_errors),
+        }
+    }
 }
 
 /// What [`ControlNode::poll`] returns.

@@ -2,8 +2,8 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::{Film, Pace, Scene};
-use crate::{Disturbance, Env, EnvError, EnvSpec, EnvState, Step};
+use super::{Film, Pace};
+use crate::{Env, Step, Watched, Watcher};
 
 /// Most frames of a film; 16 s at 25 a second.
 const FRAMES: usize = 400;
@@ -31,8 +31,6 @@ struct Reel {
     width: u32,
     film: Option<Film>,
     still: Vec<u8>,
-    resets: u64,
-    ended: bool,
 }
 
 /// A finished film.
@@ -51,7 +49,7 @@ pub struct Shot {
 impl Camera {
     /// A camera whose pictures are `width` pixels wide.
     pub fn new(width: u32) -> Self {
-        Self(Arc::new(Mutex::new(Reel { width, film: None, still: Vec::new(), resets: 0, ended: false })))
+        Self(Arc::new(Mutex::new(Reel { width, film: None, still: Vec::new() })))
     }
 
     /// Puts the camera before an environment: it films from the first reset to the end of that episode.
@@ -59,7 +57,7 @@ impl Camera {
         let mut reel = self.reel();
         reel.film = Some(Film::new(reel.width, Pace::of(env.spec()), FRAMES));
         drop(reel);
-        Box::new(Filmed { env, camera: self.clone() })
+        Box::new(Watched::new(env, self.clone()))
     }
 
     /// The film; `None` where nothing was filmed.
@@ -90,49 +88,12 @@ impl Reel {
     }
 }
 
-struct Filmed {
-    env: Box<dyn Env>,
-    camera: Camera,
-}
-
-impl Env for Filmed {
-    fn spec(&self) -> &EnvSpec {
-        self.env.spec()
+impl Watcher for Camera {
+    fn begin(&mut self, env: &dyn Env) {
+        self.reel().shoot(env);
     }
 
-    fn reset(&mut self, seed: u64, obs: &mut [f32]) {
-        self.env.reset(seed, obs);
-        let mut reel = self.camera.reel();
-        reel.resets += 1;
-        reel.ended |= reel.resets > 1;
-        if !reel.ended {
-            reel.shoot(self.env.as_ref());
-        }
-    }
-
-    fn step(&mut self, action: &[f32], obs: &mut [f32]) -> Step {
-        let step = self.env.step(action, obs);
-        let mut reel = self.camera.reel();
-        if !reel.ended {
-            reel.shoot(self.env.as_ref());
-            reel.ended = step.terminated || step.truncated;
-        }
-        step
-    }
-
-    fn state(&self) -> EnvState {
-        self.env.state()
-    }
-
-    fn restore(&mut self, state: &EnvState) -> Result<(), EnvError> {
-        self.env.restore(state)
-    }
-
-    fn scene(&self) -> Option<Scene> {
-        self.env.scene()
-    }
-
-    fn disturb(&mut self, disturbance: Disturbance) -> Result<(), EnvError> {
-        self.env.disturb(disturbance)
+    fn step(&mut self, env: &dyn Env, _action: &[f32], _step: &Step) {
+        self.reel().shoot(env);
     }
 }
