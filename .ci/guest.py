@@ -6,6 +6,7 @@ Usage: .ci/guest.py [--fetch | --host | --keep]
 Where this machine's kernel has vcan and we are root, the tests run on it directly (--host insists on that). Elsewhere
 Debian's own kernel boots in QEMU with the programs in its initial file system. Its package is fetched once into
 <target folder>/kernel (--fetch does only that, and a missing one is then no failure). --keep leaves the guest's files.
+The Python packages of `.ci/python.sh` are seen from the guest through a read-only share.
 
 The guest has passed only where QEMU ends with status 33 and the console's last line is the closing line; a kernel that
 panics or powers off ends with 0. Exit 0 passed, 1 failed, 4 not run, with the reason in one line.
@@ -15,6 +16,7 @@ import gzip
 import lzma
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -26,11 +28,18 @@ ROOT = Path(__file__).resolve().parent.parent
 TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")).resolve()
 CACHE = TARGET / "kernel"
 TESTS = ROOT / "tests" / "guest"
-MODULES = ["can-dev", "can", "can-raw", "vcan"]
+PLANT = ROOT / "tests" / "python" / "plant.py"
+# In the order in which they can be loaded: CAN, then what it takes to see folders of this machine (9p over virtio).
+CAN_MODULES = ["can-dev", "can", "can-raw", "vcan"]
+SHARE_MODULES = ["virtio_ring", "virtio", "virtio_pci_modern_dev", "virtio_pci_legacy_dev", "virtio_pci"]
+SHARE_MODULES += ["netfs", "fscache", "9pnet", "9pnet_virtio", "9p"]
+MODULES = CAN_MODULES + SHARE_MODULES
 POLICIES = ["inverted-pendulum-v5", "hopper-v5", "moving"]
 CLOSING = "guest: all passed"
 PASSED = 33
 LIMIT_S = 600
+# A line of ldd.
+LIBRARY = r"(?:^\s*|=> )(/.+?) \(0x"
 XZ = b"\xfd7zXZ\x00"
 
 
@@ -46,8 +55,9 @@ def output(*command, **options):
 
 
 def cached():
-    """The folder with the decompressed kernel and its modules, or None. The stamp is written last."""
-    found = sorted(folder for folder in CACHE.glob("6.*") if (folder / "complete").exists()) if CACHE.exists() else []
+    """The folder with the decompressed kernel and its modules, or None. The stamp lists them and is written last."""
+    stamps = sorted(CACHE.glob("6.*/complete")) if CACHE.exists() else []
+    found = [stamp.parent for stamp in stamps if stamp.read_text().split() == MODULES]
     return found[-1] if found else None
 
 
@@ -93,7 +103,7 @@ def fetch():
         (folder / "vmlinux").write_bytes(kernel)
         for module in MODULES:
             shutil.copy(next(tree.glob(f"**/{module}.ko")), folder)
-        (folder / "complete").touch()
+        (folder / "complete").write_text("\n".join(MODULES))
     return folder
 
 
@@ -132,7 +142,7 @@ class Archive:
         if "not found" in listed:
             raise NotRun(f"{source} lacks libraries: {listed}")
         # A path may hold spaces.
-        for path in re.findall(r"(?:^\s*|=> )(/.+?) \(0x", listed, re.MULTILINE):
+        for path in re.findall(LIBRARY, listed, re.MULTILINE):
             self.file(path)
             # A path relative to the program means another folder here.
             self.file(path, f"lib/{os.uname().machine}-linux-gnu/{os.path.basename(path)}")
@@ -156,13 +166,48 @@ def build():
     return TARGET / "debug" / "gadm-sim"
 
 
-INIT = f"""#!/bin/sh
+PYTHON = (ROOT / "target" / "python").resolve()
+# What the Python tests of the guest import, and all that this loads.
+PROBE = """
+import can.interfaces.socketcan, cantools, crccheck.crc, gymnasium, mujoco, numpy, sysconfig
+gymnasium.make("Hopper-v5")
+print(sysconfig.get_path("stdlib"))
+with open("/proc/self/maps", encoding="utf-8") as maps:
+    print(*sorted({line.split(None, 5)[5].strip() for line in maps if ".so" in line}), sep="\\n")
+"""
+# Nothing is drawn, and there is no display.
+PYTHON_ENV = {"MUJOCO_GL": "disable", "PYTHONDONTWRITEBYTECODE": "1"}
+
+
+def python():
+    """The interpreter with the packages of the tests, the folders that it reads, and libraries that lie elsewhere."""
+    got = subprocess.run([ROOT / ".ci" / "python.sh"], capture_output=True, text=True)
+    if got.returncode != 0:
+        raise NotRun((got.stderr.strip().splitlines() or ["no message"])[-1])
+    program = PYTHON / "bin" / "python"
+    stdlib, *libraries = output(program, "-c", PROBE, env={**os.environ, **PYTHON_ENV}).splitlines()
+    folders = [PYTHON, Path(stdlib)]
+    # Under the names that the loader looks for. One may have been loaded by its path, for which this finds nothing.
+    needed = sorted(set(re.findall(LIBRARY, output("ldd", *libraries), re.MULTILINE)))
+    return program, folders, [lib for lib in needed if not any(Path(lib).is_relative_to(f) for f in folders)]
+
+
+def sharing(qemu):
+    """Raises where this QEMU cannot share folders."""
+    if "virtio-9p-pci" not in output(qemu, "-device", "help"):
+        raise NotRun(f"{qemu} cannot share folders (no virtio-9p-pci)")
+
+
+INIT = """#!/bin/sh
 mount -t proc proc /proc; mount -t sysfs sysfs /sys; mount -t devtmpfs devtmpfs /dev; mount -t tmpfs tmpfs /tmp
-for module in {' '.join(MODULES)}; do insmod /modules/$module.ko || echo "FAILED: insmod $module"; done
+for module in $modules; do insmod /modules/$module.ko || echo "FAILED: insmod $module"; done
+for share in $shares; do
+    mount -t 9p -o trans=virtio,version=9p2000.L,ro,cache=loose,msize=524288 ${share%%:*} ${share#*:} || echo "FAILED: mount $share"
+done
 ip link set up lo
 if /tests/run.sh /out; then
     byte='\\020'
-    echo '{CLOSING}'
+    echo "$closing"
 else
     byte='\\021'
 fi
@@ -174,6 +219,14 @@ printf "$byte" | dd of=/dev/port bs=1 seek=244 count=1 2>/dev/null
 sleep 60
 """
 
+
+def init(modules, shares, env):
+    """The first program of the guest. `shares` are mount tags with their folders."""
+    given = {"modules": " ".join(modules), "closing": CLOSING, "shares": " ".join(f"{t}:{f}" for t, f in shares.items())}
+    lines = [f"{name}={shlex.quote(str(value))}" for name, value in given.items()]
+    lines += [f"export {name}={shlex.quote(str(value))}" for name, value in env.items()]
+    return INIT.replace("\n", "\n" + "\n".join(lines) + "\n", 1)
+
 APPLETS = "sh mount insmod dd sleep printf echo cat grep sed awk cut sort cmp kill tar stty mkdir rm wc head tail timeout cp test true seq tr env"
 
 
@@ -184,19 +237,37 @@ def in_guest(program, kernel, scratch):
     for applet in APPLETS.split():
         archive.add(f"bin/{applet}", 0o120777, b"busybox")
     archive.program(tool("ip", "iproute2"), "sbin/ip")
-    for name in ("candump", "cansend"):
+    for name in ("candump", "canplayer", "cansend"):
         archive.program(tool(name, "can-utils"), f"usr/bin/{name}")
     archive.program(str(program), "usr/bin/gadm-sim")
-    for module in MODULES:
+    modules, shares, env = CAN_MODULES, {}, {}
+    try:
+        sharing(qemu)
+        interpreter, folders, libraries = python()
+        shares = {f"share{i}": folder for i, folder in enumerate(folders)}
+        if any(" " in str(folder) for folder in folders):
+            raise NotRun(f"a folder with a space in its name cannot be shared: {folders}")
+        modules, env = MODULES, {**PYTHON_ENV, "PYTHON": PYTHON / "bin" / "python"}
+        # The environment has links to it.
+        while interpreter.is_symlink():
+            interpreter = interpreter.parent / os.readlink(interpreter)
+            if not any(interpreter.is_relative_to(folder) for folder in folders):
+                archive.program(os.path.realpath(interpreter), str(interpreter))
+        for path in libraries:
+            archive.file(path)
+    except NotRun as reason:
+        env = {"NO_PYTHON": str(reason)}
+    for module in modules:
         archive.file(kernel / f"{module}.ko", f"modules/{module}.ko")
     for script in TESTS.glob("*.sh"):
         archive.file(script, f"tests/{script.name}")
+    archive.file(PLANT, "python/plant.py")
     for name in POLICIES:
         archive.file(ROOT / "models" / name / "policy.bin", f"models/{name}/policy.bin")
-    for folder in ("proc", "sys", "dev", "tmp"):
+    for folder in ("proc", "sys", "dev", "tmp", *map(str, shares.values())):
         archive.add(folder, 0o040755)
     archive.add("dev/console", 0o020600, device=(5, 1))
-    archive.add("init", 0o100755, INIT.encode())
+    archive.add("init", 0o100755, init(modules, shares, env).encode())
     archive.write(scratch / "initramfs.gz")
 
     results = scratch / "results.tar"
@@ -208,6 +279,10 @@ def in_guest(program, kernel, scratch):
         "-append", "console=ttyS0 quiet panic=-1 mitigations=off clocksource=acpi_pm no_timer_check cryptomgr.notests",
         "-serial", "stdio", "-serial", f"file:{results}", "-device", "isa-debug-exit,iobase=0xf4,iosize=0x01",
     ]  # fmt: skip
+    for tag, folder in shares.items():
+        # A comma in a value is doubled.
+        path = str(folder).replace(",", ",,")
+        command += ["-virtfs", f"local,path={path},mount_tag={tag},security_model=none,readonly=on"]
     log, closed = [], False
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     timer = threading.Timer(LIMIT_S, process.kill)
@@ -236,6 +311,10 @@ def on_host(program, scratch):
     """Runs the same tests on this machine's kernel."""
     out = scratch / "results"
     env = {**os.environ, "PATH": f"{program.parent}:{os.environ['PATH']}", "MODELS": str(ROOT / "models")}
+    try:
+        env |= {**PYTHON_ENV, "PYTHON": str(python()[0]), "PLANT": str(PLANT)}
+    except NotRun as reason:
+        env["NO_PYTHON"] = str(reason)
     done = subprocess.run([str(TESTS / "run.sh"), str(out)], env=env)
     return out if done.returncode == 0 else None
 

@@ -50,7 +50,7 @@ fn errors_say_what_where_and_what_to_do() {
     let junk = dir.path().join("junk.bin");
     std::fs::write(&junk, b"hello, this is no policy").unwrap();
     let cases: [(&[&str], i32, &[&str]); 8] = [
-        (&["run", "/nowhere/p.bin"], 1, &["cannot read /nowhere/p.bin"]),
+        (&["run", "/nowhere/p.bin"], 1, &["cannot read /nowhere/p.bin: No such file or directory (os error 2)\n"]),
         (&["run", junk.to_str().unwrap()], 1, &["not a policy", "gadm export"]),
         (&["run", &policy, "--plant", "pendulum"], 1, &["does not fit plant `pendulum`", "--plant moving"]),
         (&["run", &policy, "--plant", "hoper-v5"], 1, &["hoper-v5", "hopper-v5"]),

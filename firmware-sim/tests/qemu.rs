@@ -23,6 +23,7 @@ use gadm_sim::target::qemu::{Board, Emulator, Machine};
 use gadm_sim::{BitRate, Profile, RunOptions};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use support::program::{sim, stderr};
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
@@ -221,14 +222,20 @@ fn with_the_boards_timer_silence_leads_to_safe() {
     }
 }
 
+/// The same policy with a sequence number that much higher.
+fn successor(policy: &[u8], by: u32) -> Vec<u8> {
+    let mut new = policy.to_vec();
+    let seq = u32::from_le_bytes(new[32..36].try_into().unwrap()) + by;
+    new[32..36].copy_from_slice(&seq.to_le_bytes());
+    fix_checksums(&mut new);
+    new
+}
+
 #[test]
 #[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn a_policy_comes_over_the_bus_and_the_one_before_stays_in_its_slot() {
     let old = model("inverted-pendulum-v5");
-    let mut new = old.to_vec();
-    let seq = u32::from_le_bytes(new[32..36].try_into().unwrap()) + 1;
-    new[32..36].copy_from_slice(&seq.to_le_bytes());
-    fix_checksums(&mut new);
+    let new = successor(&old, 1);
     let mut peer = Peer::connect(&board(Machine::Mps2An386, ""), &old, &NodeConfig::default());
     peer.heartbeat(State::Ready);
     let options = InstallOptions { node: NodeId::DEFAULT, fd: true, anew: false, activate: true };
@@ -249,6 +256,48 @@ fn a_policy_comes_over_the_bus_and_the_one_before_stays_in_its_slot() {
     peer.heartbeat(State::Ready);
     let error = install(peer.bus.as_mut(), "uart", options, &new, &mut |_| {}).unwrap_err().to_string();
     assert!(error.contains("no slot that it can write"), "{error}");
+}
+
+#[test]
+#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
+fn the_program_flashes_a_board_over_its_uart() {
+    let old = model("inverted-pendulum-v5");
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, image: &[u8]| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, image).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let (old_file, new_file) = (file("old.bin", &old), file("new.bin", &successor(&old, 1)));
+    let newest = file("newest.bin", &successor(&old, 2));
+    let emulator = board(Machine::Mps2An386, "").power_on(&old, &NodeConfig::default()).unwrap();
+    let uart = format!("unix:{}", emulator.socket().display());
+    let flash = |policy: &str, more: &[&str]| sim(&[&["flash", policy, "--connect", &uart][..], more].concat());
+
+    let out = flash(&new_file, &["--json"]);
+    assert_eq!(out.status.code(), Some(0), "{}", stderr(&out));
+    let done: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    let expected = serde_json::json!({ "version": 1, "node": 1, "slot": 1, "bytes": old.len(), "resumed_at": 0,
+                                       "state": "confirmed" });
+    assert_eq!(done, expected);
+
+    let out = flash(&old_file, &[]);
+    assert_eq!(out.status.code(), Some(1), "an older one: {}", stderr(&out));
+    assert!(stderr(&out).contains("sequence number"), "{}", stderr(&out));
+    // Into the other slot, in classic frames, and only that; what is there already is not sent again.
+    for resumed in ["; staged", "were there already; staged"] {
+        let out = flash(&newest, &["--classic", "--stage"]);
+        assert_eq!(out.status.code(), Some(0), "{}", stderr(&out));
+        assert!(stderr(&out).contains("bytes in slot 0") && stderr(&out).contains(resumed), "{}", stderr(&out));
+    }
+    let out = flash(&file("cut.bin", &old[..1000]), &[]);
+    assert_eq!(out.status.code(), Some(1), "no policy: {}", stderr(&out));
+
+    let bus = open(&Address::Unix(emulator.socket().to_owned()), BitRate::default()).unwrap();
+    let mut peer = Peer { bus, emulator };
+    let [first, second, running, trial] = peer.page(Page::Slots).to_le_bytes();
+    assert_eq!([first, second].map(SlotState::from_code), [Some(SlotState::Staged), Some(SlotState::Confirmed)]);
+    assert_eq!((running, trial), (1, 0));
 }
 
 /// Observations of all kinds: uniform over the declared ranges and beyond, extreme, and from episodes of the policy.

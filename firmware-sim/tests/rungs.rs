@@ -8,42 +8,11 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use serde_json::Value;
-use support::random_policy;
-
-const SIM: &str = env!("CARGO_BIN_EXE_gadm-sim");
-
-fn sim(args: &[&str]) -> Output {
-    Command::new(SIM).args(args).output().unwrap()
-}
-
-fn stderr(out: &Output) -> String {
-    String::from_utf8_lossy(&out.stderr).into_owned()
-}
-
-fn policy_file(dir: &Path, id: &str, seed: u64) -> String {
-    let env = gadm_envs::make(id).unwrap();
-    let path = dir.join(format!("{id}-{seed}.bin"));
-    std::fs::write(&path, random_policy(env.spec(), seed).as_bytes()).unwrap();
-    path.to_str().unwrap().to_owned()
-}
-
-/// A process that ends with the test.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-fn start(args: &[&str]) -> Running {
-    Running(Command::new(SIM).args(args).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
-}
+use support::program::{Running, SIM, policy_file, sim, start, stderr};
 
 /// A hub in a process of its own, and where it listens: unix socket, TCP, pseudo-terminal.
 fn hub(dir: &Path, more: &[&str]) -> (Running, [String; 3]) {
@@ -225,7 +194,11 @@ fn a_hub_is_for_this_machine_unless_told_otherwise_and_for_so_many() {
     for word in ["0.0.0.0", "other machines", "--allow-remote"] {
         assert!(stderr(&out).contains(word), "{}", stderr(&out));
     }
-    assert_eq!(sim(&["bus", "hub"]).status.code(), Some(2));
+    for nowhere in [&["bus", "hub"][..], &["bus", "hub", "--quiet"], &["bus", "hub", "--trace", "x.log"]] {
+        let out = sim(nowhere);
+        assert_eq!(out.status.code(), Some(2), "{nowhere:?}: a hub that nobody can reach: {}", stderr(&out));
+        assert!(stderr(&out).contains("--socketcan"), "{}", stderr(&out));
+    }
     let dir = tempfile::tempdir().unwrap();
     let (_hub, [unix, _, _]) = hub(dir.path(), &["--members", "2"]); // the pseudo-terminal is one
     let path = unix.strip_prefix("unix:").unwrap();

@@ -4,22 +4,11 @@
 mod support;
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Command;
 
 use serde_json::Value;
+use support::program::{sim, stderr, stdout};
 use support::random_policy;
-
-fn sim(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_gadm-sim")).args(args).output().unwrap()
-}
-
-fn stderr(out: &Output) -> String {
-    String::from_utf8_lossy(&out.stderr).into_owned()
-}
-
-fn stdout(out: &Output) -> String {
-    String::from_utf8_lossy(&out.stdout).into_owned()
-}
 
 /// A policy for `id`, and the trace, report and result of a run with it.
 struct Ran {
@@ -110,6 +99,20 @@ fn a_report_does_not_change_a_run() {
     let out = sim(&["run", &ran.policy, "--episodes", "3", "--trace", &ran.trace, "--json", "-q"]);
     assert_eq!(serde_json::from_slice::<Value>(&out.stdout).unwrap(), ran.result);
     assert_eq!(std::fs::read(&ran.trace).unwrap(), with);
+}
+
+#[test]
+fn a_film_of_a_run_is_an_animated_gif_of_the_asked_width() {
+    let dir = tempfile::tempdir().unwrap();
+    let film = dir.path().join("film.gif");
+    let words = ["--film", film.to_str().unwrap(), "--film-width", "120"];
+    let plain = run(dir.path(), "pendulum", &[]);
+    let filmed = run(dir.path(), "pendulum", &words);
+    assert_eq!(plain.result, filmed.result, "it only looks on");
+    let bytes = std::fs::read(&film).unwrap();
+    assert_eq!((&bytes[..6], u16::from_le_bytes([bytes[6], bytes[7]])), (&b"GIF89a"[..], 120));
+    let frames = bytes.windows(3).filter(|w| *w == [0x21, 0xF9, 4]).count();
+    assert!(frames > 20, "{frames} frames");
 }
 
 #[test]
@@ -216,9 +219,27 @@ fn completions_and_manual_pages_know_every_command() {
         let page = std::fs::read_to_string(dir.path().join(format!("man1/gadm-sim-{command}.1"))).unwrap();
         assert!(page.contains(".SH SYNOPSIS") || page.contains(".SH NAME"), "{command}");
     }
+    let formatter = Command::new("groff").arg("--version").output();
+    if formatter.is_ok_and(|out| out.status.success()) {
+        for page in std::fs::read_dir(dir.path().join("man1")).unwrap() {
+            let path = page.unwrap().path();
+            let out = Command::new("groff").args(["-man", "-Tascii", "-ww", "-P-cbou"]).arg(&path).output().unwrap();
+            assert!(out.status.success() && out.stderr.is_empty(), "{}: {}", path.display(), stderr(&out));
+            let name = path.file_stem().unwrap().to_str().unwrap();
+            assert!(stdout(&out).contains(name) && stdout(&out).contains("DESCRIPTION"), "{name}: {}", stdout(&out));
+        }
+    } else {
+        not_run("rendering of the manual pages (no groff here)");
+    }
     let out = sim(&["man", "/dev/null/x"]);
     assert_eq!(out.status.code(), Some(1));
     assert!(stderr(&out).contains("cannot write manual pages into /dev/null/x"), "{}", stderr(&out));
+}
+
+/// Says it past the test harness's capture, so that what did not run is seen.
+fn not_run(what: &str) {
+    use std::io::Write as _;
+    let _ = writeln!(std::io::stderr(), "not run: {what}");
 }
 
 #[test]
@@ -233,10 +254,7 @@ fn bash_takes_the_completions() {
         file.display()
     );
     let Ok(out) = Command::new("bash").args(["-c", &line]).output() else {
-        use std::io::Write as _;
-        // Past the test harness's capture, so that a test that did not run is seen.
-        let _ = writeln!(std::io::stderr(), "not run: bash_takes_the_completions (no bash here)");
-        return;
+        return not_run("bash_takes_the_completions (no bash here)");
     };
     assert_eq!(stdout(&out).trim(), "doctor", "{}", stderr(&out));
 }

@@ -1,11 +1,15 @@
 #!/bin/sh
-# Tests of rung D on a kernel with CAN: node and plant as two processes on vcan0, with candump and cansend beside them.
+# Tests of rung D on a kernel with CAN: node and plant as two processes on vcan0, with candump, cansend, canplayer and
+# python-can beside them.
 # Runs in the guest of .ci/guest.py (busybox) or on a host whose kernel has vcan, as root. One line a test.
 #
 # Usage: run.sh FOLDER      leaves there, for the caller to compare, traces named POLICY_PROFILE_EPISODES_SEED.log
+# Environment: MODELS and PLANT say where the models and tests/python/plant.py lie, PYTHON is an interpreter with the
+# packages of .ci/python.sh, or NO_PYTHON the reason why there is none.
 set -u
 out=$1
 models=${MODELS:-/models}
+plant=${PLANT:-/python/plant.py}
 work=$(mktemp -d)
 mkdir -p "$out" "$work"
 failures=0
@@ -80,6 +84,53 @@ lockstep() {
 lockstep inverted-pendulum-v5 fd-f32 1 3
 lockstep hopper-v5 fd-f32 1 4
 lockstep moving classic-i16 4 4
+
+# replays LOG POLICY: every action of the log is what the policy decides.
+replays() {
+    timeout 400 gadm-sim replay "$1" --policy "$models/$2/policy.bin" --json >"$1.json" 2>/dev/null && grep -q '"same": true' "$1.json"
+}
+
+# played POLICY PROFILE EPISODES SEED: our trace through canplayer, candump's record of that, and that through us again.
+played() {
+    tag="$1_$2_$3_$4"
+    check "$tag: candump's record of the live run replays to the same actions" replays "$work/$tag.candump" "$1"
+    record "$work/$tag.played"
+    timeout 400 canplayer -g 0 -I "$out/$tag.log" $can=vcan0
+    check "$tag: canplayer plays our trace" [ $? = 0 ]
+    stop_recording
+    frames "$work/$tag.played" >"$work/$tag.again"
+    check "$tag: candump saw the same frames in the same order" cmp "$work/$tag.sent" "$work/$tag.again"
+    check "$tag: candump's record of what canplayer sent replays to the same actions" replays "$work/$tag.played" "$1"
+}
+
+played hopper-v5 fd-f32 1 4
+played moving classic-i16 4 4
+
+# A plant of Gymnasium with python-can on the bus, its frames from cantools: it drives our node for an episode, and its
+# return is ours.
+name="python-can on $can: a Hopper of Gymnasium drives our node for an episode"
+if [ -n "${PYTHON-}" ]; then
+    policy=$models/hopper-v5/policy.bin
+    gadm-sim dbc "$policy" -o "$work/hopper.dbc"
+    gadm-sim reset hopper-v5 --seed 4 >"$work/start.json"
+    timeout 400 gadm-sim node "$policy" --connect socketcan:$can --quiet &
+    node=$!
+    children="$children $node"
+    timeout 400 "$PYTHON" "$plant" --dbc "$work/hopper.dbc" --start "$work/start.json" --interface socketcan --channel $can \
+        >"$work/theirs.json"
+    check "$name" [ $? = 0 ]
+    kill $node
+    wait $node 2>/dev/null
+    gadm-sim run "$policy" --episodes 1 --seed 4 --json --quiet >"$work/ours.json"
+    check "$name: return and steps are ours" "$PYTHON" -c '
+import json, sys
+theirs, ours = (json.load(open(path))["episodes"][0] for path in sys.argv[1:])
+print({key: (theirs[key], ours[key]) for key in ("return", "steps")})
+sys.exit(any(theirs[key] != ours[key] for key in ("return", "steps")))
+' "$work/theirs.json" "$work/ours.json"
+else
+    echo "not run: $name (${NO_PYTHON:-no Python environment; run .ci/python.sh})"
+fi
 
 # A run that starts its node itself, while others send: a classic and an FD frame that concern nobody, then an emergency
 # stop, which the node obeys.

@@ -1,4 +1,4 @@
-//! The heat map: faults down, intensities from left to right, the return that is left as colour.
+//! The heat map: faults down, intensities from left to right, the return that is lost as colour.
 
 use super::record::NOMINAL;
 use super::{Campaign, Tally};
@@ -26,7 +26,7 @@ fn drawing(found: &Campaign) -> Svg {
     let (width, height) = (LEFT + COLUMN * columns as f64 + 10.0, TOP + ROW * faults.len() as f64 + 10.0);
     let mut svg = Svg::new(width as u32, height as u32, format!("{}: return against nominal", found.name));
     svg.block([0.0, 0.0, width, height], "#ffffff", "");
-    svg.text(8.0, 20.0, PALE, &format!("{}: return against nominal, ✗ = criteria missed", found.name));
+    svg.text(8.0, 20.0, PALE, &format!("{}: return left of nominal, ✗ = criteria missed", found.name));
     for (i, (fault, cells)) in faults.iter().enumerate() {
         let y = TOP + ROW * i as f64;
         svg.text(8.0, y + 21.0, PALE, fault);
@@ -56,10 +56,11 @@ pub(super) fn rows(found: &Campaign) -> Vec<(&str, Vec<&Tally>)> {
     rows
 }
 
-/// Dark blue for all of the return to pale for none of it: readable without telling red from green. Also the ink on it.
+/// White where nothing is lost of the return, to dark orange for all of it: readable without telling red from green. Also
+/// the ink on it.
 fn colour(left: f64) -> (String, &'static str) {
-    let t = left.clamp(0.0, 1.0);
+    let t = 1.0 - left.clamp(0.0, 1.0);
     let mix = |a: f64, b: f64| (a + (b - a) * t).round() as u8;
-    let fill = format!("#{:02x}{:02x}{:02x}", mix(253.0, 8.0), mix(231.0, 69.0), mix(205.0, 148.0));
+    let fill = format!("#{:02x}{:02x}{:02x}", mix(255.0, 166.0), mix(250.0, 68.0), mix(245.0, 0.0));
     (fill, if t > 0.55 { DARK } else { PALE })
 }

@@ -19,6 +19,16 @@ pub(super) fn html(found: &Campaign, scenario: &Scenario, options: &Options) -> 
     page.verdict(Mark::of(missed == 0), words);
     let injected: u64 = found.records.iter().map(|r| r.injected).sum();
     page.verdict(Mark::Note, format!("{injected} faults injected; a run without any fails"));
+    let wrong: Vec<_> = found.records.iter().filter(|r| !r.passed).collect();
+    if !wrong.is_empty() {
+        page.section("Missed").table(
+            ["run", "what"],
+            wrong.iter().map(|r| {
+                let what = r.error.clone().unwrap_or_else(|| r.missed.join("; "));
+                vec![Cell::text(r.name()), Cell::text(what).marked(Mark::Missed)]
+            }),
+        );
+    }
     if !scenario.description.is_empty() {
         page.section("What it is about").text(scenario.description.clone());
     }
@@ -31,7 +41,8 @@ pub(super) fn html(found: &Campaign, scenario: &Scenario, options: &Options) -> 
             std::iter::once(Cell::text(*fault)).chain(cells.iter().map(|t| heat_cell(t))).collect()
         }),
     );
-    page.text("The share of the nominal return that is left, over the intensity in brackets.");
+    page.text("The share of the nominal return that is left, and the intensity in brackets; the stronger the colour, the more is lost. \
+         ✗: a criterion was missed.");
     page.section("Faults").table(
         [
             "fault",
@@ -39,32 +50,22 @@ pub(super) fn html(found: &Campaign, scenario: &Scenario, options: &Options) -> 
             "runs met",
             "injected",
             "noticed",
-            "periods to notice",
+            "after periods",
             "made safe",
-            "periods to safe",
+            "after periods",
             "worst action error",
             "oldest action",
             "return",
             "of nominal",
-            "",
         ],
         found.tallies.iter().map(row),
     );
     page.text(
-        "Times are the longest of all episodes, in control periods from the first injected fault on. The action error is the \
+        "The share of the episodes with a fault in which it was noticed, or led to the safe action, and how long that took. An \
+         episode may end before. Times are the longest of all episodes, in control periods from the first injected fault on. The action error is the \
          largest distance of an applied action from the policy's decision on the true observation, as a share of its range. \
          The oldest action is the longest row of periods with neither a new decision nor a safe action.",
     );
-    let wrong: Vec<_> = found.records.iter().filter(|r| !r.passed).collect();
-    if !wrong.is_empty() {
-        page.section("Missed").table(
-            ["run", "what"],
-            wrong.iter().map(|r| {
-                let what = r.error.clone().unwrap_or_else(|| r.missed.join("; "));
-                vec![Cell::text(r.name()), Cell::text(what).marked(Mark::Missed)]
-            }),
-        );
-    }
     page.section("Command to repeat").code(options.command.clone());
     page.to_html()
 }
@@ -72,7 +73,12 @@ pub(super) fn html(found: &Campaign, scenario: &Scenario, options: &Options) -> 
 fn heat_cell(t: &Tally) -> Cell {
     let left = t.return_ratio.map_or_else(|| "–".to_owned(), |r| format!("{:.0} %", r * 100.0));
     let missed = if t.passed < t.runs { " ✗" } else { "" };
-    Cell::number(format!("{left} ({}){missed}", t.intensity)).shaded(t.return_ratio.unwrap_or(f64::NAN))
+    Cell::number(format!("{left} ({}){missed}", t.intensity)).shaded(lost(t))
+}
+
+/// The part of the nominal return that is lost; not a number where there is none to compare with.
+fn lost(t: &Tally) -> f64 {
+    1.0 - t.return_ratio.unwrap_or(f64::NAN)
 }
 
 fn row(t: &Tally) -> Vec<Cell> {
@@ -81,7 +87,7 @@ fn row(t: &Tally) -> Vec<Cell> {
     vec![
         Cell::text(t.fault.clone()),
         Cell::text(t.intensity.clone()),
-        Cell::number(format!("{}/{}", t.passed, t.runs)),
+        Cell::number(format!("{}/{}", t.passed, t.runs)).marked(Mark::of(t.passed == t.runs)),
         Cell::number(t.injected.to_string()),
         share(t.detected),
         count(t.time_to_detect),
@@ -90,7 +96,6 @@ fn row(t: &Tally) -> Vec<Cell> {
         Cell::number(format!("{:.1} %", t.worst_action_error * 100.0)),
         Cell::number(t.max_action_age.to_string()),
         Cell::number(format!("{:.1}", t.mean_return)),
-        share(t.return_ratio).shaded(t.return_ratio.unwrap_or(f64::NAN)),
-        Cell::mark(Mark::of(t.passed == t.runs)),
+        share(t.return_ratio).shaded(lost(t)),
     ]
 }

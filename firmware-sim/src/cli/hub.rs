@@ -9,7 +9,7 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use anyhow::Context as _;
-use clap::ValueEnum;
+use clap::{ArgGroup, ValueEnum};
 use gadm_sim::SimError;
 use gadm_sim::bus::exchange::Limits;
 use gadm_sim::bus::hub::{Event, Hub, Options, Slow};
@@ -33,7 +33,8 @@ for this machine only unless --allow-remote is given. Ctrl-C ends the hub.";
 /// Arguments of `bus hub`.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
-#[group(id = "ways", required = true, multiple = true, args = ["unix", "tcp", "pty"])]
+// A group of its own: one on the structure would hold all of its arguments, so that `--quiet` alone were enough.
+#[command(group = ArgGroup::new("ways").required(true).multiple(true).args(["unix", "tcp", "pty", "socketcan"]))]
 #[expect(clippy::struct_excessive_bools, reason = "flags of a command line")]
 pub(crate) struct Args {
     /// Listen on a unix socket, which only this user may open

@@ -96,10 +96,17 @@ pub(crate) fn main() -> ExitCode {
             if gone {
                 return ExitCode::SUCCESS;
             }
-            say(&format!("error: {error:#}"));
+            say(&format!("error: {}", causes(&error)));
             ExitCode::from(error.downcast_ref::<SimError>().map_or(1, SimError::exit_code))
         }
     }
+}
+
+/// An error with its causes, less those that the words before them tell already.
+fn causes(error: &anyhow::Error) -> String {
+    let all = error.chain().map(ToString::to_string);
+    let joined = all.reduce(|said, cause| if said.contains(&cause) { said } else { format!("{said}: {cause}") });
+    joined.unwrap_or_default()
 }
 
 /// One line for people.

@@ -4,23 +4,23 @@ use std::path::Path;
 
 use gadm_runtime::Policy;
 use gadm_sim::report::run::command_line;
-use gadm_sim::report::{About, Recording, run_report};
+use gadm_sim::report::{About, Episode, run_report};
 use gadm_sim::scenario::Verdict;
 use gadm_sim::sil::read_image;
 use gadm_sim::{RunOptions, RunResult, SimError};
 
-/// Writes the report of a run that `recording` watched.
+/// Writes the report of a run whose first episode was watched.
 pub(super) fn write(
     path: &Path,
     options: &RunOptions,
-    recording: &Recording,
+    episode: &Episode,
     result: &RunResult,
     verdict: Option<&Verdict>,
 ) -> anyhow::Result<()> {
     let image = read_image(&options.policy)?;
     let policy = Policy::load(&image).map_err(SimError::Policy)?;
     let about = About {
-        episode: &recording.finish(),
+        episode,
         verdict,
         command: command_line(std::iter::once("gadm-sim".to_owned()).chain(std::env::args().skip(1))),
         trace: options.trace.as_ref().map(|trace| trace.display().to_string()),

@@ -5,15 +5,18 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
+use anyhow::Context as _;
 use clap::ValueEnum;
 use gadm_sim::bus::Address;
-use gadm_sim::report::Recording;
+use gadm_sim::report::{FILM_WIDTH, Recording};
 use gadm_sim::rung::{Place, Rung, run_on};
 use gadm_sim::scenario::{Criteria, Scenario, Verdict};
 use gadm_sim::target::qemu::{Board, Machine};
 use gadm_sim::{BitRate, Profile, Progress, RunOptions, RunResult, SimError};
 use indicatif::{ProgressBar, ProgressStyle};
 
+#[cfg(feature = "mcap")]
+use super::trace::write_mcap;
 use super::{CRITERIA_MISSED, report, say};
 
 const EXAMPLES: &str = "\
@@ -97,9 +100,20 @@ struct What {
     /// Write all frames to FILE, as `candump -L` does
     #[arg(long, value_name = "FILE", help_heading = "Output")]
     trace: Option<PathBuf>,
+    /// Write signals and events to FILE for Foxglove, from the trace
+    #[cfg(feature = "mcap")]
+    #[arg(long, value_name = "FILE", requires = "trace", help_heading = "Output")]
+    mcap: Option<PathBuf>,
     /// Write a report for people: one HTML file with verdict, film, plots and the command to repeat
     #[arg(long, value_name = "FILE.html", help_heading = "Output")]
     report: Option<PathBuf>,
+    /// Write a film of the first episode, an animated GIF
+    #[arg(long, value_name = "FILE.gif", help_heading = "Output")]
+    film: Option<PathBuf>,
+    /// Width of the film, here and in the report, pixels
+    #[arg(long, value_name = "N", default_value_t = FILM_WIDTH, value_parser = clap::value_parser!(u32).range(40..=2048),
+          help_heading = "Output")]
+    film_width: u32,
     /// Print the whole result as JSON on standard output
     #[arg(long, help_heading = "Output")]
     json: bool,
@@ -207,7 +221,7 @@ fn plan(args: &What) -> Result<(RunOptions, Option<Scenario>), SimError> {
         },
         allow_overload: args.allow_overload,
         trace: args.trace.clone(),
-        record: args.report.is_some().then(Recording::default),
+        record: (args.report.is_some() || args.film.is_some()).then(|| Recording::new(args.film_width)),
         ..base
     };
     Ok((options, scenario))
@@ -243,16 +257,32 @@ fn drive(args: &What, place: Place) -> anyhow::Result<ExitCode> {
     display.clear();
     let result = result?;
     let verdict = judge(args, &options, scenario, &result)?;
-    if let (Some(path), Some(recording)) = (&args.report, &options.record) {
-        report::write(path, &options, recording, &result, verdict.as_ref())?;
+    #[cfg(feature = "mcap")]
+    if let (Some(path), Some(trace)) = (&args.mcap, &args.trace) {
+        write_mcap(&options.policy, trace, path)?;
+    }
+    if let Some(episode) = options.record.as_ref().map(Recording::finish) {
+        if let Some(path) = &args.report {
+            report::write(path, &options, &episode, &result, verdict.as_ref())?;
+        }
+        if let Some(path) = &args.film {
+            let film = episode.film.as_ref().with_context(|| format!("{} does not draw itself", result.plant))?;
+            std::fs::write(path, &film.gif).map_err(|source| SimError::Write { path: path.clone(), source })?;
+        }
     }
     if !args.quiet {
         say(result.table().trim_end());
         if let Some(path) = &args.trace {
             say(&format!("  {:<18} {} frames in {}", "trace", result.bus.frames, path.display()));
         }
-        if let Some(path) = &args.report {
-            say(&format!("  {:<18} {}", "report", path.display()));
+        #[cfg(feature = "mcap")]
+        if let Some(path) = &args.mcap {
+            say(&format!("  {:<18} {}", "mcap", path.display()));
+        }
+        for (name, path) in [("report", &args.report), ("film", &args.film)] {
+            if let Some(path) = path {
+                say(&format!("  {name:<18} {}", path.display()));
+            }
         }
         if let Some(verdict) = verdict.as_ref().filter(|v| v.passed && !v.criteria.is_empty()) {
             say(&format!("  {:<18} all {} hold", "criteria", verdict.criteria.len()));

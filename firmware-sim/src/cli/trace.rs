@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 use std::io::{BufWriter, Write};
+#[cfg(feature = "mcap")]
+use std::path::Path;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -43,14 +45,15 @@ pub(crate) struct Args {
 
 /// Runs the command.
 pub(crate) fn main(args: &Args) -> anyhow::Result<ExitCode> {
+    #[cfg(feature = "mcap")]
+    if let Some(path) = &args.mcap {
+        let written = write_mcap(&args.policy, &args.file, path)?;
+        say(&format!("{}: {} messages, {} of them events", path.display(), written.messages, written.events));
+        return Ok(ExitCode::SUCCESS);
+    }
     let image = read_image(&args.policy)?;
     let policy = Policy::load(&image).map_err(SimError::Policy)?;
     let records = trace::read(&args.file)?;
-    #[cfg(feature = "mcap")]
-    if let Some(path) = &args.mcap {
-        write_mcap(&policy, &records, path)?;
-        return Ok(ExitCode::SUCCESS);
-    }
     let profile = profile_of(records.iter().filter_map(|r| r.frame.as_ref())).unwrap_or(gadm_sim::Profile::FdF32);
     let decoder = Decoder::new(&policy, profile)?;
     let mut out = BufWriter::new(std::io::stdout().lock());
@@ -95,12 +98,12 @@ pub(crate) fn main(args: &Args) -> anyhow::Result<ExitCode> {
 
 /// Writes the MCAP file of a trace.
 #[cfg(feature = "mcap")]
-pub(crate) fn write_mcap(policy: &Policy, records: &[trace::Record], path: &std::path::Path) -> anyhow::Result<()> {
+pub(super) fn write_mcap(policy: &Path, trace: &Path, path: &Path) -> anyhow::Result<gadm_sim::mcap::Written> {
     use anyhow::Context as _;
 
+    let image = read_image(policy)?;
+    let policy = Policy::load(&image).map_err(SimError::Policy)?;
+    let records = trace::read(trace)?;
     let file = std::fs::File::create(path).map_err(|source| SimError::Write { path: path.to_owned(), source })?;
-    let written = gadm_sim::mcap::export(policy, records, std::io::BufWriter::new(file))
-        .with_context(|| path.display().to_string())?;
-    say(&format!("{}: {} messages, {} of them events", path.display(), written.messages, written.events));
-    Ok(())
+    gadm_sim::mcap::export(&policy, &records, BufWriter::new(file)).with_context(|| path.display().to_string())
 }

@@ -16,6 +16,9 @@ const STYLE: &str = include_str!("page.css");
 const POLICY: &str =
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'";
 
+/// A table of more columns is set closer.
+const MANY_COLUMNS: usize = 10;
+
 /// The whole page.
 pub(super) fn page(page: &Page) -> String {
     let mut out = String::new();
@@ -67,7 +70,8 @@ fn write_block(out: &mut String, block: &Block) -> Result {
             writeln!(out, "</tbody></table></div>")
         }
         Block::Table { columns, rows } => {
-            writeln!(out, "<div class=\"scroll\" tabindex=\"0\"><table>\n<thead><tr>")?;
+            let class = if columns.len() > MANY_COLUMNS { " class=\"wide\"" } else { "" };
+            writeln!(out, "<div class=\"scroll\" tabindex=\"0\"><table{class}>\n<thead><tr>")?;
             for column in columns {
                 write_cell(out, "th scope=\"col\"", "th", column)?;
             }

@@ -15,6 +15,6 @@ pub mod run;
 pub mod svg;
 
 pub use page::{Cell, Mark, Page};
-pub use recording::Recording;
+pub use recording::{Episode, FILM_WIDTH, Recording};
 pub use run::{About, run_report};
 pub use svg::Svg;

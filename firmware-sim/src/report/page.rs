@@ -179,7 +179,7 @@ impl Page {
         self.push(Block::Facts(facts.into_iter().map(|(name, value)| (name.into(), value.into())).collect()))
     }
 
-    /// Adds a table. Short rows are filled with empty cells. A column is aligned as the cell in its first row.
+    /// Adds a table. Short rows are filled with empty cells. A column with a number is aligned as numbers are.
     pub fn table<C: Into<Cell>>(
         &mut self,
         columns: impl IntoIterator<Item = C>,
@@ -193,7 +193,7 @@ impl Page {
             row.resize_with(width, Cell::default);
         }
         for (i, column) in columns.iter_mut().enumerate() {
-            column.numeric |= rows.first().is_some_and(|row| row[i].numeric);
+            column.numeric |= rows.iter().any(|row| row[i].numeric);
         }
         self.push(Block::Table { columns, rows })
     }

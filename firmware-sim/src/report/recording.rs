@@ -15,18 +15,27 @@ use crate::bus::loopback::Tap;
 use crate::decode::profile_of;
 use crate::sil::policy_layout;
 
-/// Width of the film, pixels.
-const FILM_WIDTH: u32 = 420;
+/// Width of the film in a report, pixels.
+pub const FILM_WIDTH: u32 = 420;
 /// Most frames of the bus that are kept; an episode of Hopper in `classic-i16` has 10,000.
 const BUS_FRAMES: usize = 500_000;
 
 /// Watches a run for its report. Clones are the same recording.
-#[derive(Clone, Debug, Default)]
-pub struct Recording(Arc<Mutex<Tape>>);
+#[derive(Clone, Debug)]
+pub struct Recording {
+    film_width: u32,
+    tape: Arc<Mutex<Tape>>,
+}
+
+impl Default for Recording {
+    fn default() -> Self {
+        Self::new(FILM_WIDTH)
+    }
+}
 
 impl PartialEq for Recording {
     fn eq(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.0, &other.0)
+        Arc::ptr_eq(&self.tape, &other.tape)
     }
 }
 
@@ -65,15 +74,21 @@ pub struct Decisions {
 }
 
 impl Recording {
+    /// A recording whose film is so many pixels wide.
+    #[must_use]
+    pub fn new(film_width: u32) -> Self {
+        Self { film_width, tape: Arc::default() }
+    }
+
     fn tape(&self) -> MutexGuard<'_, Tape> {
         // A poisoned tape is still a tape.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.tape.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Puts the recording between a plant and whoever drives it.
     #[must_use]
     pub fn watch_env(&self, env: Box<dyn Env>) -> Box<dyn Env> {
-        let camera = Camera::new(FILM_WIDTH);
+        let camera = Camera::new(self.film_width);
         let env = camera.before(env);
         self.tape().camera = Some(camera);
         Box::new(Watched::new(env, self.clone()))

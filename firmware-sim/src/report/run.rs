@@ -77,7 +77,7 @@ pub fn run_report(result: &RunResult, policy: &Policy, about: &About) -> Result<
 
 fn verdicts(page: &mut Page, result: &RunResult, verdict: Option<&Verdict>) {
     let r = &result.returns;
-    let mean = format!("mean return {} ± {}, n {}", label(r.mean), label(r.sd), r.n);
+    let mean = format!("mean return {} ± {}, n {}", label(r.mean), label(three_digits(r.sd)), r.n);
     match verdict.filter(|v| !v.criteria.is_empty()) {
         None => _ = page.verdict(Mark::Note, format!("No criterion was given; {mean}.")),
         Some(v) => {
@@ -99,6 +99,15 @@ fn verdicts(page: &mut Page, result: &RunResult, verdict: Option<&Verdict>) {
         });
         page.section("Criteria").table(["criterion", "required", "found", ""], rows);
     }
+}
+
+/// A spread needs no more.
+fn three_digits(value: f64) -> f64 {
+    if value == 0.0 || !value.is_finite() {
+        return value;
+    }
+    let scale = 10_f64.powi(2 - value.abs().log10().floor() as i32);
+    (value * scale).round() / scale
 }
 
 /// Plots of the first episode over its time.
