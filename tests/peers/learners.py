@@ -53,3 +53,49 @@ class Td3:
             with torch.no_grad():
                 torch._foreach_lerp_(self.frozen, self.parameters, self.tau)
         return {"targets": y, "q_loss": loss, "policy_loss": policy_loss}
+
+
+class Dqn:
+    """Double DQN; `net` gives the values of all outputs, `value(q, index)` makes the value of an action of them."""
+
+    def __init__(self, make, value, greedy, lr, eps, tau):
+        self.q, self.target, self.value, self.greedy, self.tau = make(), make(), value, greedy, tau
+        self.parameters, self.frozen = list(self.q.parameters()), list(self.target.parameters())
+        self.adam = optimiser(self.parameters, lr, eps)
+
+    def update(self, obs, index, returns, bootstrap, next_obs):
+        with torch.no_grad():
+            best = self.greedy(self.q(next_obs))
+            y = returns + bootstrap * self.value(self.target(next_obs), best)
+        loss = F.mse_loss(self.value(self.q(obs), index), y)
+        descend(self.adam, loss, self.parameters)
+        with torch.no_grad():
+            torch._foreach_lerp_(self.frozen, self.parameters, self.tau)
+        return {"targets": y, "q_loss": loss}
+
+
+class Dueling(torch.nn.Module):
+    """Wang et al. 2016, eq. 9, with a hidden layer in each stream."""
+
+    def __init__(self, obs, hidden, actions):
+        super().__init__()
+        w = hidden[-1]
+        self.trunk = torch.nn.Sequential(mlp(obs, *hidden), torch.nn.ReLU())
+        self.advantage_hidden, self.value_hidden = torch.nn.Linear(w, w), torch.nn.Linear(w, w)
+        self.advantage, self.value = torch.nn.Linear(w, actions), torch.nn.Linear(w, 1)
+
+    def forward(self, obs):
+        x = self.trunk(obs)
+        a = self.advantage(F.relu(self.advantage_hidden(x)))
+        return a - a.mean(1, keepdim=True) + self.value(F.relu(self.value_hidden(x)))
+
+
+def dqn_listed(obs, hidden, actions, lr=3e-4, eps=1e-8, tau=0.001):
+    one = lambda q, index: q.gather(1, index.unsqueeze(1)).squeeze(1)
+    return Dqn(lambda: Dueling(obs, hidden, actions), one, lambda q: q.argmax(1), lr, eps, tau)
+
+
+def dqn_decoupled(obs, hidden, slots, bins, lr=3e-4, eps=1e-8, tau=0.001):
+    groups = lambda q: q.view(-1, slots, bins)
+    mean = lambda q, index: groups(q).gather(2, index.unsqueeze(2)).squeeze(2).mean(1)
+    return Dqn(lambda: mlp(obs, *hidden, slots * bins), mean, lambda q: groups(q).argmax(2), lr, eps, tau)

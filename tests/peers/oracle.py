@@ -81,7 +81,50 @@ def td3(case, check):
     check.networks(case, "after", nets)
 
 
-CASES = {"td3": td3}
+def dqn_manual(case, check):
+    s, b = case["settings"], {name: tensors(array) for name, array in case["batch"].items()}
+    slots = b["actions"].shape[1]
+    actions = s["bins"] ** slots
+    peer = learners.dqn_listed(b["obs"].shape[1], s["hidden"], actions, s["learning_rate"], s["epsilon"], s["tau"])
+    # The list itself: the last slot changes fastest.
+    grid = torch.linspace(-1, 1, s["bins"])
+    listed = torch.cartesian_prod(*[grid] * slots)
+    check.close("list of actions", tensors(case["before"]["actions"]["actions"]), listed)
+    codes = b["codes"].long()
+    check.close("listed actions", b["actions"], listed[codes])
+
+    def parts(net):
+        yield from layers_of(net.trunk, "trunk")
+        for name, layer in (("advantage.hidden", net.advantage_hidden), ("value.hidden", net.value_hidden),
+                            ("advantage", net.advantage), ("value", net.value)):
+            yield f"{name}.weight", layer.weight
+            yield f"{name}.bias", layer.bias
+
+    nets = [("q", peer.q), ("q-target", peer.target)]
+    for network, net in nets:
+        for name, value in parts(net):
+            value.data = tensors(case["before"][network][name]).view(value.shape)
+    out = peer.update(b["obs"], codes, b["returns"], b["bootstrap"], b["next_obs"])
+    check.close("q_loss", torch.tensor([case["report"]["q_loss"]]), out["q_loss"])
+    for network, net in nets:
+        for name, value in parts(net):
+            check.close(f"after: {network}/{name}", tensors(case["after"][network][name]), value)
+
+
+def dqn_decoupled(case, check):
+    s, b = case["settings"], {name: tensors(array) for name, array in case["batch"].items()}
+    slots, bins = b["actions"].shape[1], s["bins"]
+    peer = learners.dqn_decoupled(b["obs"].shape[1], s["hidden"], slots, bins, s["learning_rate"], s["epsilon"], s["tau"])
+    nets = [("q", peer.q, "q"), ("q-target", peer.target, "q")]
+    for network, net, prefix in nets:
+        load(net, case["before"][network], prefix)
+    index = ((b["actions"] + 1) / 2 * (bins - 1)).round().long()
+    out = peer.update(b["obs"], index, b["returns"], b["bootstrap"], b["next_obs"])
+    check.close("q_loss", torch.tensor([case["report"]["q_loss"]]), out["q_loss"])
+    check.networks(case, "after", nets)
+
+
+CASES = {"td3": td3, "dqn-manual": dqn_manual, "dqn-decoupled": dqn_decoupled}
 
 
 def main():

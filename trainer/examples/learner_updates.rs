@@ -2,6 +2,8 @@
 //! losses. `tests/peers/oracle.py` repeats it in PyTorch; `make test-peers` runs both.
 
 use gadm_envs::EnvSpec;
+use gadm_trainer::algo::dqn::TargetUpdate;
+use gadm_trainer::algo::listed::{DqnManualConfig, HeadLayout, manual};
 use gadm_trainer::algo::td3::{Td3, Td3Config};
 use gadm_trainer::algo::{Learner, Report};
 use gadm_trainer::nn::AdamConfig;
@@ -71,17 +73,19 @@ fn report_json(report: &Report) -> Value {
     report.iter().map(|(key, value)| ((*key).to_owned(), json!(value))).collect()
 }
 
-fn spec(env: &str) -> anyhow::Result<EnvSpec> {
-    Ok(gadm_envs::make(env)?.spec().clone())
+/// Pendulum with a second torque.
+fn two_torques() -> anyhow::Result<EnvSpec> {
+    let mut spec = gadm_envs::make("pendulum")?.spec().clone();
+    let mut second = spec.actions[0].clone();
+    "second".clone_into(&mut second.name);
+    spec.actions.push(second);
+    Ok(spec)
 }
 
 fn td3(n: usize) -> anyhow::Result<Value> {
     let seeds = SeedTree::new(n as u64);
     let rng = &mut seeds.stream("data");
-    let mut spec = spec("pendulum")?;
-    let mut second = spec.actions[0].clone();
-    "second".clone_into(&mut second.name);
-    spec.actions.push(second);
+    let spec = two_torques()?;
     let mut config = Td3Config { hidden: vec![16, 8], policy_delay: 1, tau: 0.25, ..Td3Config::default() };
     (config.actor_adam, config.critic_adam, config.schedule.batch) = (adam(), adam(), n);
     let mut learner = Td3::new(config.clone(), &spec, seeds)?;
@@ -115,9 +119,54 @@ fn td3(n: usize) -> anyhow::Result<Value> {
     }))
 }
 
+/// Settings of DQN on Pendulum with two torques, 3 bins each.
+fn dqn_manual(n: usize, layout: HeadLayout) -> DqnManualConfig {
+    let mut config = DqnManualConfig { layout, ..DqnManualConfig::default() };
+    (config.dqn.hidden, config.dqn.target, config.dqn.adam) = (vec![16, 8], TargetUpdate::Soft { tau: 0.25 }, adam());
+    config.schedule.batch = n;
+    config
+}
+
+fn dqn(n: usize, layout: HeadLayout) -> anyhow::Result<Value> {
+    let seeds = SeedTree::new(n as u64);
+    let rng = &mut seeds.stream("data");
+    let spec = two_torques()?;
+    let config = dqn_manual(n, layout);
+    let mut learner = manual(&config, &spec, seeds)?;
+    move_targets(learner.as_mut(), rng);
+    let (mut actions, mut codes) = (vec![0.0; n * 2], Vec::new());
+    learner.random(n, rng, &mut codes, &mut actions);
+    let mut data = batch(rng, n, spec.obs_dim(), actions);
+    if layout == HeadLayout::Flat {
+        data.codes = codes.iter().map(|&code| code as f32).collect();
+    }
+    let before = networks(learner.as_mut());
+    let mut report = Report::new();
+    learner.update(&data, rng, &mut report);
+    let algorithm = if layout == HeadLayout::Flat { "dqn-manual" } else { "dqn-decoupled" };
+    Ok(json!({
+        "algorithm": algorithm,
+        "name": format!("{algorithm}, batch {n}"),
+        "settings": {
+            "hidden": config.dqn.hidden,
+            "bins": config.bins,
+            "learning_rate": adam().learning_rate,
+            "epsilon": adam().epsilon,
+            "tau": 0.25,
+        },
+        "batch": batch_json(&data),
+        "before": before,
+        "report": report_json(&report),
+        "after": networks(learner.as_mut()),
+    }))
+}
+
 fn main() -> anyhow::Result<()> {
+    let mut cases = Vec::new();
     // A batch in one part, and one that is computed in two.
-    let cases = [12, 140].map(td3).into_iter().collect::<anyhow::Result<Vec<_>>>()?;
+    for n in [12, 140] {
+        cases.extend([td3(n)?, dqn(n, HeadLayout::Flat)?, dqn(n, HeadLayout::Decoupled)?]);
+    }
     println!("{}", json!({ "cases": cases }));
     Ok(())
 }

@@ -8,6 +8,7 @@ use gadm_runtime::space::ActionHead;
 use rand::RngExt as _;
 use serde::{Deserialize, Serialize};
 
+use crate::error::TrainError;
 use crate::seed::Rng;
 
 /// When the value of an edge atom replaces the expectation (paper eq. 14 and its snap rule; specification 2.7).
@@ -79,6 +80,21 @@ impl ActionSpace {
     /// Heads, in slot order.
     pub fn heads(&self) -> &[ActionHead] {
         &self.heads
+    }
+
+    /// Refuses an environment with types or switches, for an algorithm that has none.
+    ///
+    /// # Errors
+    /// [`TrainError::Config`] with the first such slot.
+    pub fn all_continuous(&self, algorithm: &str, spec: &EnvSpec) -> Result<(), TrainError> {
+        match spec.actions.iter().find(|a| !matches!(a.head, ActionHead::Continuous { .. })) {
+            None => Ok(()),
+            Some(other) => {
+                let expected = "another algorithm for an environment with discrete actions";
+                let found = format!("{algorithm} (continuous actions only), and `{}` of {}", other.name, spec.id);
+                Err(TrainError::config("algo", expected, found))
+            }
+        }
     }
 
     /// Head of the continuous slots.

@@ -117,6 +117,15 @@ impl TrainError {
         Self::Config { key: key.to_owned(), expected: expected.to_owned(), found: found.to_string() }
     }
 
+    /// The same setting, in a table that lies within another one.
+    #[must_use]
+    pub fn within(self, table: &str) -> Self {
+        match self {
+            Self::Config { key, expected, found } => Self::Config { key: format!("{table}.{key}"), expected, found },
+            other => other,
+        }
+    }
+
     /// Wraps an I/O error with what was tried on which path.
     pub fn io(action: &'static str, path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();

@@ -5,12 +5,17 @@
 
 mod runs;
 
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use gadm_trainer::algo::dqn::{DqnConfig, TargetUpdate};
+use gadm_trainer::algo::listed::{DqnClusterConfig, DqnManualConfig, HeadLayout};
 use gadm_trainer::algo::td3::Td3Config;
 use gadm_trainer::config::{Algorithm, Layer, Schedule, TrainConfig, resolve::resolve, to_toml};
 use gadm_trainer::nn::AdamConfig;
 use gadm_trainer::runner::train::evaluation_seed;
 use gadm_trainer::runner::{checkpoint, evaluate, new_run};
-use runs::{assert_same_run, metrics, resume, start};
+use runs::{arrays, assert_same_run, last, metrics, resume, start, write_arrays};
 
 fn adam() -> AdamConfig {
     AdamConfig { learning_rate: 1e-3, grad_clip: 0.0, ..AdamConfig::default() }
@@ -28,9 +33,42 @@ fn td3() -> Td3Config {
     Td3Config { schedule, hidden: vec![16, 16], ..Td3Config::default() }
 }
 
+/// Networks and schedule of a short run on a list of actions.
+fn short(schedule: &mut Schedule, dqn: &mut DqnConfig) {
+    *schedule = Schedule { envs: 2, steps_per_round: 4, updates: 2, batch: 32, capacity: 300, random_steps: 20 };
+    (dqn.hidden, dqn.target) = (vec![16, 16], TargetUpdate::Hard { every: 7 });
+}
+
+fn manual(layout: HeadLayout) -> Algorithm {
+    let mut own = DqnManualConfig { layout, ..DqnManualConfig::default() };
+    short(&mut own.schedule, &mut own.dqn);
+    Algorithm::DqnManual(own)
+}
+
+/// Three torques of the pendulum, each with a little wobble, as recorded by an expert.
+fn expert() -> PathBuf {
+    static FILES: AtomicUsize = AtomicUsize::new(0);
+    let number = FILES.fetch_add(1, Ordering::Relaxed);
+    let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("expert-{number}.safetensors"));
+    let actions: Vec<f32> = (0..90_u16).map(|i| f32::from(i % 3) - 1.0).map(|a| 0.9 * a).collect();
+    write_arrays(&path, &[("obs", &[90, 3], &[0.0; 270]), ("actions", &[90, 1], &actions)]);
+    path
+}
+
+fn clusters() -> Algorithm {
+    let mut own = DqnClusterConfig { data: Some(expert()), clusters: 3, ..DqnClusterConfig::default() };
+    short(&mut own.schedule, &mut own.dqn);
+    Algorithm::DqnCluster(own)
+}
+
 /// One of each algorithm, with an environment.
 fn every_baseline() -> Vec<TrainConfig> {
-    vec![small("pendulum", Algorithm::Td3(td3()))]
+    vec![
+        small("pendulum", Algorithm::Td3(td3())),
+        small("moving", manual(HeadLayout::Auto)),
+        small("hard-move-4", manual(HeadLayout::Decoupled)),
+        small("pendulum", clusters()),
+    ]
 }
 
 #[test]
@@ -90,8 +128,8 @@ fn a_configuration_holds_the_tables_of_its_algorithm_only() {
     for config in every_baseline() {
         let id = config.algo.name().id();
         let config = set(&[&format!("algo={id}"), "env=pendulum"]).unwrap();
-        let text = to_toml(&config).unwrap();
-        assert!(text.contains(&format!("algo = \"{id}\"\n")) && text.contains(&format!("\n[{id}]\n")), "{text}");
+        let (text, table) = (to_toml(&config).unwrap(), id.replace('-', "_"));
+        assert!(text.contains(&format!("algo = \"{id}\"\n")) && text.contains(&format!("\n[{table}]\n")), "{text}");
         for other in ["[dqn]", "[action_model]", "[round]"] {
             assert!(!text.contains(other), "{text}");
         }
@@ -130,4 +168,39 @@ fn td3_learns_to_hold_the_pendulum() {
     let config = TrainConfig { steps: 8_000, ..small("pendulum", Algorithm::Td3(own)) };
     let (before, after) = learned(&config);
     assert!(before < -800.0 && after > -300.0, "{before} -> {after}");
+}
+
+/// A checkpoint carries the centres: resuming and evaluating need the expert's file no more.
+#[test]
+fn centres_come_from_the_expert_and_stay_with_the_run() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let mut config = small("pendulum", clusters());
+    let gone = dir.path().join("expert.safetensors");
+    std::fs::rename(expert(), &gone).unwrap();
+    let Algorithm::DqnCluster(own) = &mut config.algo else { panic!("not clusters") };
+    own.data = Some(gone.clone());
+    start(&run, &TrainConfig { steps: 100, ..config.clone() }).unwrap();
+    std::fs::remove_file(&gone).unwrap();
+    resume(&run, Some(&config)).unwrap();
+    let mut centres: Vec<f32> = arrays(&last(&run)).0["actions/actions"].1.iter().map(|b| f32::from_bits(*b)).collect();
+    centres.sort_by(f32::total_cmp);
+    assert!(centres.iter().zip([-0.9, 0.0, 0.9]).all(|(a, b)| (a - b).abs() < 1e-6), "{centres:?}");
+    let error = start(&dir.path().join("other"), &config).unwrap_err().to_string();
+    assert!(error.contains("expert.safetensors"), "{error}");
+}
+
+/// Three torques hold the pendulum, from a list and from one group of outputs.
+#[test]
+fn dqn_on_bins_learns_to_hold_the_pendulum() {
+    for layout in [HeadLayout::Flat, HeadLayout::Decoupled] {
+        let mut own = DqnManualConfig { layout, ..DqnManualConfig::default() };
+        own.schedule =
+            Schedule { envs: 4, steps_per_round: 32, updates: 32, batch: 64, capacity: 20_000, random_steps: 0 };
+        (own.dqn.hidden, own.dqn.gamma, own.dqn.adam) = (vec![64, 64], 0.95, adam());
+        (own.dqn.target, own.epsilon.decay) = (TargetUpdate::Soft { tau: 0.01 }, 2_000.0);
+        let config = TrainConfig { steps: 12_000, ..small("pendulum", Algorithm::DqnManual(own)) };
+        let (before, after) = learned(&config);
+        assert!(before < -800.0 && after > -400.0, "{layout:?}: {before} -> {after}");
+    }
 }

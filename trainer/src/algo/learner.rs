@@ -1,6 +1,7 @@
 //! What the training loop and the evaluation need of an algorithm.
 
 use crate::action_space::ActionSpace;
+use crate::error::TrainError;
 use crate::nn::{Adam, Params};
 use crate::replay::RlBatch;
 use crate::seed::Rng;
@@ -33,6 +34,14 @@ pub type Report = Vec<(&'static str, f32)>;
 
 /// A baseline: networks that learn from batches of a replay buffer.
 pub trait Learner: Actor {
+    /// Reads what the algorithm needs besides its configuration; once, before the first step of a run, not when it is resumed.
+    ///
+    /// # Errors
+    /// For a file that is missing or does not fit.
+    fn prepare(&mut self) -> Result<(), TrainError> {
+        Ok(())
+    }
+
     /// Actions with exploration for `batch` observations, as [`Actor::act`] gives them without. Draws are per row.
     fn explore(&mut self, obs: &[f32], batch: usize, by: Explorer, chosen: &mut Vec<u32>, actions: &mut [f32]);
 

@@ -1,6 +1,6 @@
 //! `gadm eval`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context as _;
@@ -10,8 +10,8 @@ use gadm_runtime::Policy;
 use gadm_runtime::encode::AlignedImage;
 use gadm_trainer::TrainError;
 use gadm_trainer::atomic;
-use gadm_trainer::runner::checkpoint::load_trained;
-use gadm_trainer::runner::{Evaluation, evaluate_in, evaluate_policy_in};
+use gadm_trainer::runner::checkpoint::{load_trained, save_pairs};
+use gadm_trainer::runner::{Evaluation, evaluate_policy_in, evaluate_watched};
 use serde::Serialize;
 
 use super::{CRITERIA_MISSED, print_json, say};
@@ -21,6 +21,7 @@ Examples:
   gadm eval runs/hopper-v5-seed0 --episodes 100
   gadm eval models/hopper-v5/policy.bin --episodes 20 --seed 7 --json
   gadm eval models/hopper-v5/policy.bin --episodes 1 --render hop.gif
+  gadm eval runs/td3-hopper-v5-seed0 --episodes 1000 --record expert.safetensors --record-min 3500
 
 A run folder is evaluated with its float networks, a policy file in the device runtime. The
 same seed gives both, and `gadm-sim run`, the same episodes.";
@@ -49,6 +50,13 @@ pub struct Args {
     /// Draw the first episode as an animated GIF
     #[arg(long, value_name = "FILE.gif")]
     render: Option<PathBuf>,
+    /// Of a run: write observations and normalised actions of the episodes as safetensors (`obs`, `actions`), the form that
+    /// warmup.data and dqn_cluster.data take
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// With --record: only episodes with at least this return
+    #[arg(long, value_name = "X", allow_negative_numbers = true, requires = "record")]
+    record_min: Option<f64>,
     /// Width of the pictures of --render, pixels
     #[arg(long, default_value_t = 480, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(16..=2048))]
     render_width: u32,
@@ -73,6 +81,26 @@ struct Output<'a> {
     returns: &'a [f64],
     lengths: &'a [u64],
     latent_counts: &'a [u64],
+}
+
+/// Observations and actions of one episode.
+type Pairs = (Vec<f32>, Vec<f32>);
+
+/// Writes the episodes whose return is at least `least`.
+fn record(
+    path: &Path,
+    least: Option<f64>,
+    evaluation: &Evaluation,
+    pairs: &[Pairs],
+    (obs_dim, slots): (usize, usize),
+) -> anyhow::Result<()> {
+    let kept: Vec<_> = pairs.iter().zip(&evaluation.returns).filter(|(_, r)| least.is_none_or(|x| **r >= x)).collect();
+    anyhow::ensure!(!kept.is_empty(), "--record-min: no episode of {} has such a return", pairs.len());
+    let obs: Vec<f32> = kept.iter().flat_map(|((obs, _), _)| obs).copied().collect();
+    let actions: Vec<f32> = kept.iter().flat_map(|((_, actions), _)| actions).copied().collect();
+    save_pairs(path, (&obs, obs_dim), (&actions, slots))?;
+    say(&format!("wrote {}: {} pairs of {} episodes", path.display(), obs.len() / obs_dim, kept.len()));
+    Ok(())
 }
 
 fn run(args: &Args, camera: Option<&Camera>) -> anyhow::Result<(&'static str, String, Evaluation)> {
@@ -100,8 +128,20 @@ fn run(args: &Args, camera: Option<&Camera>) -> anyhow::Result<(&'static str, St
         let mut envs = (0..episodes).map(|_| make_with(&env, &options)).collect::<Result<Vec<_>, _>>()?;
         let first = filmed(envs.remove(0));
         envs.insert(0, first);
-        return Ok(("float", env, evaluate_in(trained.actor(), envs, args.seed)));
+        let spec = envs[0].spec().clone();
+        let mut pairs = vec![(Vec::new(), Vec::new()); episodes];
+        let evaluation = evaluate_watched(trained.actor(), envs, args.seed, |episode, obs, action| {
+            if args.record.is_some() {
+                pairs[episode].0.extend_from_slice(obs);
+                pairs[episode].1.extend_from_slice(action);
+            }
+        });
+        if let Some(path) = &args.record {
+            record(path, args.record_min, &evaluation, &pairs, (spec.obs_dim(), spec.action_dim()))?;
+        }
+        return Ok(("float", env, evaluation));
     }
+    anyhow::ensure!(args.record.is_none(), "--record: expected a run folder, found a policy file");
     let bytes = std::fs::read(&args.path)
         .with_context(|| format!("cannot read {}: give a run folder or a policy file", args.path.display()))?;
     let image = AlignedImage::new(&bytes);

@@ -106,10 +106,8 @@ fn config(args: &Args) -> anyhow::Result<TrainConfig> {
 /// `runs/ENV-seedN`, or `runs/ALGO-ENV-seedN` for a baseline.
 fn default_folder(config: &TrainConfig) -> PathBuf {
     let name = format!("{}-seed{}", config.env, config.seed);
-    PathBuf::from("runs").join(match &config.algo {
-        Algorithm::GadmDqn => name,
-        Algorithm::Td3(_) => format!("{}-{name}", config.algo.name().id()),
-    })
+    let gadm = config.algo == Algorithm::GadmDqn;
+    PathBuf::from("runs").join(if gadm { name } else { format!("{}-{name}", config.algo.name().id()) })
 }
 
 /// Runs `train`.

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::algo::listed::{DqnClusterConfig, DqnManualConfig};
 use crate::algo::td3::Td3Config;
 use crate::error::TrainError;
 
@@ -14,6 +15,10 @@ pub enum Algorithm {
     GadmDqn,
     /// Twin delayed deep deterministic policy gradient (Fujimoto et al. 2018).
     Td3(Td3Config),
+    /// Double DQN on hand-made bins (specification 7.2).
+    DqnManual(DqnManualConfig),
+    /// Double DQN on the centres of an expert's actions (specification 8.7).
+    DqnCluster(DqnClusterConfig),
 }
 
 /// Name of an algorithm, as `algo` holds it.
@@ -25,6 +30,10 @@ pub enum AlgorithmName {
     GadmDqn,
     /// [`Algorithm::Td3`].
     Td3,
+    /// [`Algorithm::DqnManual`].
+    DqnManual,
+    /// [`Algorithm::DqnCluster`].
+    DqnCluster,
 }
 
 impl AlgorithmName {
@@ -33,6 +42,8 @@ impl AlgorithmName {
         match self {
             Self::GadmDqn => "gadm-dqn",
             Self::Td3 => "td3",
+            Self::DqnManual => "dqn-manual",
+            Self::DqnCluster => "dqn-cluster",
         }
     }
 }
@@ -41,6 +52,8 @@ impl AlgorithmName {
 pub const ALGORITHMS: &[(&str, &str)] = &[
     ("gadm-dqn", "learned latent actions with masked double DQN (any action space)"),
     ("td3", "TD3 (continuous actions)"),
+    ("dqn-manual", "double DQN on hand-made bins (any action space)"),
+    ("dqn-cluster", "double DQN on the centres of an expert's actions (continuous actions)"),
 ];
 
 impl Algorithm {
@@ -49,6 +62,8 @@ impl Algorithm {
         match self {
             Self::GadmDqn => AlgorithmName::GadmDqn,
             Self::Td3(_) => AlgorithmName::Td3,
+            Self::DqnManual(_) => AlgorithmName::DqnManual,
+            Self::DqnCluster(_) => AlgorithmName::DqnCluster,
         }
     }
 
@@ -60,6 +75,8 @@ impl Algorithm {
         match self {
             Self::GadmDqn => Ok(()),
             Self::Td3(config) => config.validate(),
+            Self::DqnManual(config) => config.validate(),
+            Self::DqnCluster(config) => config.validate(),
         }
     }
 }

@@ -8,6 +8,7 @@ use super::{
     WarmupConfig,
 };
 use crate::algo::dqn::DqnConfig;
+use crate::algo::listed::{DqnClusterConfig, DqnManualConfig};
 use crate::algo::td3::Td3Config;
 use crate::discretizer::gadm::{ActionModelConfig, ConfidenceConfig};
 
@@ -38,6 +39,10 @@ pub struct Stored {
     dqn: Option<DqnConfig>,
     #[serde(skip_serializing_if = "Option::is_none")]
     td3: Option<Td3Config>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    dqn_manual: Option<DqnManualConfig>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    dqn_cluster: Option<DqnClusterConfig>,
     track: TrackConfig,
 }
 
@@ -60,6 +65,8 @@ impl Default for Stored {
             confidence: None,
             dqn: None,
             td3: None,
+            dqn_manual: None,
+            dqn_cluster: None,
             track,
         }
     }
@@ -81,6 +88,8 @@ impl From<TrainConfig> for Stored {
                 stored.dqn = Some(c.dqn);
             }
             Algorithm::Td3(own) => stored.td3 = Some(own),
+            Algorithm::DqnManual(own) => stored.dqn_manual = Some(own),
+            Algorithm::DqnCluster(own) => stored.dqn_cluster = Some(own),
         }
         stored
     }
@@ -89,7 +98,7 @@ impl From<TrainConfig> for Stored {
 impl Stored {
     /// Names of the tables that are there and belong to an algorithm, with that algorithm.
     fn tables(&self) -> impl Iterator<Item = (&'static str, AlgorithmName)> {
-        use AlgorithmName::{GadmDqn, Td3};
+        use AlgorithmName::{DqnCluster, DqnManual, GadmDqn, Td3};
         [
             ("collect", self.collect.is_some(), GadmDqn),
             ("warmup", self.warmup.is_some(), GadmDqn),
@@ -100,6 +109,8 @@ impl Stored {
             ("confidence", self.confidence.is_some(), GadmDqn),
             ("dqn", self.dqn.is_some(), GadmDqn),
             ("td3", self.td3.is_some(), Td3),
+            ("dqn_manual", self.dqn_manual.is_some(), DqnManual),
+            ("dqn_cluster", self.dqn_cluster.is_some(), DqnCluster),
         ]
         .into_iter()
         .filter_map(|(name, there, algo)| there.then_some((name, algo)))
@@ -118,6 +129,8 @@ impl TryFrom<Stored> for TrainConfig {
         let algo = match s.algo {
             AlgorithmName::GadmDqn => Algorithm::GadmDqn,
             AlgorithmName::Td3 => Algorithm::Td3(s.td3.unwrap_or_default()),
+            AlgorithmName::DqnManual => Algorithm::DqnManual(s.dqn_manual.unwrap_or_default()),
+            AlgorithmName::DqnCluster => Algorithm::DqnCluster(s.dqn_cluster.unwrap_or_default()),
         };
         Ok(Self {
             env,

@@ -3,6 +3,7 @@
 pub mod adam;
 pub mod graph;
 pub mod kernel;
+pub mod net;
 pub mod oracle;
 pub mod parallel;
 pub mod params;
@@ -11,5 +12,6 @@ pub mod vector;
 
 pub use adam::{Adam, AdamConfig};
 pub use graph::{DenseParams, Graph, Packed, Slot, Weights, Workspace, argmax, declare_dense};
+pub use net::Net;
 pub use params::{ImportError, Init, ParamLayout, Params};
 pub use stack::{Stack, normal};

@@ -7,6 +7,7 @@ use gadm_envs::{EnvSpec, VecEnv, make_with};
 use super::any::{AnyRun, any_run_fields};
 use super::checkpoint;
 use super::run::{Counters, NotFinite, Streams, Window, finite, push_means, step_environments};
+use crate::algo::listed::{self, Listed};
 use crate::algo::td3::Td3;
 use crate::algo::{Actor, Explorer, Learner, Report};
 use crate::config::{Algorithm, Schedule, TrainConfig};
@@ -49,6 +50,8 @@ pub fn learner(config: &TrainConfig, spec: &EnvSpec) -> Result<Box<dyn Learner>,
     match &config.algo {
         Algorithm::GadmDqn => Err(TrainError::config("algo", "a baseline", "gadm-dqn")),
         Algorithm::Td3(own) => Ok(Box::new(Td3::new(own.clone(), spec, seeds)?)),
+        Algorithm::DqnManual(own) => listed::manual(own, spec, seeds),
+        Algorithm::DqnCluster(own) => Ok(Box::new(Listed::clusters(own, spec, seeds)?)),
     }
 }
 
@@ -57,6 +60,8 @@ fn plan(algo: &Algorithm) -> (Schedule, usize, f64) {
     match algo {
         Algorithm::GadmDqn => (Schedule::default(), 1, 1.0),
         Algorithm::Td3(c) => (c.schedule.clone(), c.n_step, c.gamma),
+        Algorithm::DqnManual(c) => (c.schedule.clone(), c.dqn.n_step, c.dqn.gamma),
+        Algorithm::DqnCluster(c) => (c.schedule.clone(), c.dqn.n_step, c.dqn.gamma),
     }
 }
 
@@ -152,7 +157,7 @@ impl AnyRun for BaselineRun {
     }
 
     fn prepare(&mut self) -> Result<(), TrainError> {
-        Ok(())
+        self.learner.prepare()
     }
 
     fn round(&mut self) -> Result<Result<(), NotFinite>, TrainError> {

@@ -298,7 +298,7 @@ pub fn load_any(dir: &Path) -> Result<Box<dyn AnyRun>, TrainError> {
     let (arrays, state) = read(dir, LAST)?;
     Ok(match algorithm(&state).map_err(unusable(&file))? {
         AlgorithmName::GadmDqn => Box::new(restore(&file, arrays, &state)?),
-        AlgorithmName::Td3 => Box::new(baseline::restore(&file, arrays, &state)?),
+        _ => Box::new(baseline::restore(&file, arrays, &state)?),
     })
 }
 
@@ -499,6 +499,23 @@ pub fn save_batch(path: &Path, found: &NotFinite) -> Result<(), TrainError> {
         arrays.put(*name, vec![values.len() / width, *width], values);
     }
     write(path, &arrays.to_bytes(found.what.to_owned()).map_err(bad(path))?)
+}
+
+/// Writes state-action pairs as [`load_pairs`] reads them.
+///
+/// # Errors
+/// Where the file cannot be written.
+pub fn save_pairs(
+    path: &Path,
+    (obs, obs_dim): (&[f32], usize),
+    (actions, slots): (&[f32], usize),
+) -> Result<(), TrainError> {
+    let mut arrays = Arrays::default();
+    arrays.put("obs", vec![obs.len() / obs_dim, obs_dim], obs);
+    arrays.put("actions", vec![actions.len() / slots, slots], actions);
+    let bytes = arrays.to_bytes("state-action pairs".to_owned());
+    let bytes = bytes.map_err(|reason| TrainError::Data { path: path.to_path_buf(), reason })?;
+    Ok(atomic::write(path, &bytes)?)
 }
 
 /// Reads state-action pairs for the warm-up: `obs` (N x `obs_dim`) and `actions` (N x `slots`) from a safetensors file. `push`

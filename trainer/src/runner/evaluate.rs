@@ -55,7 +55,17 @@ pub fn evaluate(
 }
 
 /// As [`evaluate`], in these environments: one for each episode, all alike, at least one.
-pub fn evaluate_in(actor: &mut dyn Actor, mut envs: Vec<Box<dyn Env>>, seed: u64) -> Evaluation {
+pub fn evaluate_in(actor: &mut dyn Actor, envs: Vec<Box<dyn Env>>, seed: u64) -> Evaluation {
+    evaluate_watched(actor, envs, seed, |_, _, _| {})
+}
+
+/// As [`evaluate_in`]; `watch` sees every decision: episode, observation, action (normalised).
+pub fn evaluate_watched(
+    actor: &mut dyn Actor,
+    mut envs: Vec<Box<dyn Env>>,
+    seed: u64,
+    mut watch: impl FnMut(usize, &[f32], &[f32]),
+) -> Evaluation {
     let episodes = envs.len();
     let spec = envs[0].spec().clone();
     let (obs_dim, slots) = (spec.obs_dim(), spec.action_dim());
@@ -83,6 +93,7 @@ pub fn evaluate_in(actor: &mut dyn Actor, mut envs: Vec<Box<dyn Env>>, seed: u64
         }
         let mut still = Vec::with_capacity(running.len());
         for (&i, action) in running.iter().zip(actions.chunks_exact(slots)) {
+            watch(i, &obs[i * obs_dim..(i + 1) * obs_dim], action);
             actor.space().to_native(action, &mut native);
             let step = envs[i].step(&native, &mut obs[i * obs_dim..(i + 1) * obs_dim]);
             result.returns[i] += step.reward;

@@ -13,6 +13,8 @@ pub mod train;
 pub use agent::Agent;
 pub use any::{AnyRun, new_run};
 pub use baseline::BaselineRun;
-pub use evaluate::{Evaluation, check_fit, evaluate, evaluate_in, evaluate_policy, evaluate_policy_in};
+pub use evaluate::{
+    Evaluation, check_fit, evaluate, evaluate_in, evaluate_policy, evaluate_policy_in, evaluate_watched,
+};
 pub use run::Run;
 pub use train::{Outcome, TrainOptions, train};

@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::nn::AdamConfig;
+use crate::error::TrainError;
+use crate::nn::stack::check_hidden;
+use crate::nn::{AdamConfig, Params};
 
 /// How the target network follows (specification 4.3).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -28,6 +30,17 @@ fn default_every() -> u64 {
 
 fn default_tau() -> f64 {
     0.001
+}
+
+impl TargetUpdate {
+    /// Moves `target` after the update of that number.
+    pub fn apply(self, target: &mut Params, params: &Params, updates: u64) {
+        match self {
+            Self::Hard { every } if updates.is_multiple_of(every.max(1)) => target.copy_from(params),
+            Self::Hard { .. } => {}
+            Self::Soft { tau } => target.approach(params, tau as f32),
+        }
+    }
 }
 
 /// The Q-network and its update (specification 4.1 to 4.3).
@@ -61,5 +74,31 @@ impl Default for DqnConfig {
             target: TargetUpdate::Soft { tau: 0.001 },
             adam: AdamConfig::default(),
         }
+    }
+}
+
+impl DqnConfig {
+    /// Checks the settings.
+    ///
+    /// # Errors
+    /// [`TrainError::Config`] for an empty trunk or layer, no head, or a discount, target share or step size out of range.
+    pub fn validate(&self) -> Result<(), TrainError> {
+        check_hidden("dqn.hidden", &self.hidden)?;
+        self.adam.validate("dqn.adam")?;
+        if let TargetUpdate::Soft { tau } = self.target
+            && !(tau > 0.0 && tau <= 1.0)
+        {
+            return Err(TrainError::config("dqn.target.tau", "above 0 and at most 1", tau));
+        }
+        if self.heads == 0 {
+            return Err(TrainError::config("dqn.heads", "at least 1", 0));
+        }
+        if !(0.0..=1.0).contains(&self.gamma) {
+            return Err(TrainError::config("dqn.gamma", "0 to 1", self.gamma));
+        }
+        if self.n_step == 0 {
+            return Err(TrainError::config("dqn.n_step", "at least 1", 0));
+        }
+        Ok(())
     }
 }

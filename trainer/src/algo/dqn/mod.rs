@@ -114,25 +114,8 @@ impl Dqn {
         rng: &mut Rng,
         streams: bool,
     ) -> Result<Self, TrainError> {
-        let Some(&width) = config.hidden.last().filter(|_| !config.hidden.contains(&0)) else {
-            let found = format!("{:?}", config.hidden);
-            return Err(TrainError::config("dqn.hidden", "one width or more, each at least 1", found));
-        };
-        config.adam.validate("dqn.adam")?;
-        if let TargetUpdate::Soft { tau } = config.target
-            && !(tau > 0.0 && tau <= 1.0)
-        {
-            return Err(TrainError::config("dqn.target.tau", "above 0 and at most 1", tau));
-        }
-        if config.heads == 0 {
-            return Err(TrainError::config("dqn.heads", "at least 1", 0));
-        }
-        if !(0.0..=1.0).contains(&config.gamma) {
-            return Err(TrainError::config("dqn.gamma", "0 to 1", config.gamma));
-        }
-        if config.n_step == 0 {
-            return Err(TrainError::config("dqn.n_step", "at least 1", 0));
-        }
+        config.validate()?;
+        let width = config.hidden.last().copied().unwrap_or(obs_dim);
         let mut layout = ParamLayout::new();
         let mut layers = Vec::new();
         let mut inputs = obs_dim;
@@ -278,11 +261,7 @@ impl Dqn {
         let mut gradients = [a.ws.gradient_mut(), b.ws.gradient_mut()];
         let gradients = if rows[1].is_empty() { &mut gradients[..1] } else { &mut gradients[..] };
         let grad_norm = params.with_mut(|p| self.adam.step(p, gradients));
-        match self.config.target {
-            TargetUpdate::Hard { every } if self.adam.steps.is_multiple_of(every.max(1)) => target.copy_from(params),
-            TargetUpdate::Hard { .. } => {}
-            TargetUpdate::Soft { tau } => target.approach(params, tau as f32),
-        }
+        self.config.target.apply(target, params, self.adam.steps);
         DqnMetrics { grad_norm, ..metrics }
     }
 }

@@ -5,7 +5,6 @@ mod config;
 pub use config::Td3Config;
 
 use gadm_envs::EnvSpec;
-use gadm_runtime::space::ActionHead;
 
 use super::learner::{Actor, Explorer, Learner, Report};
 use crate::action_space::{ActionSpace, ContinuousHead};
@@ -13,29 +12,10 @@ use crate::error::TrainError;
 use crate::metrics::keys;
 use crate::nn::parallel::{PARTS, each, join, part_rows, split};
 use crate::nn::stack::widths;
-use crate::nn::{Adam, Graph, Packed, ParamLayout, Params, Slot, Stack, Weights, Workspace, normal};
+use crate::nn::{Adam, Graph, Net, Packed, ParamLayout, Params, Slot, Stack, Weights, Workspace, normal};
 use crate::replay::RlBatch;
 use crate::runner::agent::MAX_ROWS;
 use crate::seed::{Rng, SeedTree};
-
-/// A network with its target and optimiser.
-struct Net {
-    graph: Graph,
-    params: Params,
-    target: Params,
-    adam: Adam,
-    packed: Packed,
-    target_packed: Packed,
-}
-
-impl Net {
-    fn new(graph: Graph, params: Params, adam: crate::nn::AdamConfig) -> Result<Self, TrainError> {
-        let target = params.duplicate()?;
-        let (packed, target_packed) = (graph.packed(), graph.packed());
-        let adam = Adam::new(adam, params.layout().trainable_len());
-        Ok(Self { graph, params, target, adam, packed, target_packed })
-    }
-}
 
 /// Work memory for some rows of a batch.
 struct Part {
@@ -86,11 +66,8 @@ impl Td3 {
     /// [`TrainError::Config`] for impossible settings, or an environment with discrete actions.
     pub fn new(config: Td3Config, spec: &EnvSpec, seeds: SeedTree) -> Result<Self, TrainError> {
         config.validate()?;
-        if let Some(other) = spec.actions.iter().find(|a| !matches!(a.head, ActionHead::Continuous { .. })) {
-            let expected = "another algorithm for an environment with discrete actions: TD3 takes continuous ones only";
-            return Err(TrainError::config("algo", expected, format!("td3, and `{}` of {}", other.name, spec.id)));
-        }
         let space = ActionSpace::new(spec, ContinuousHead::Tanh, true);
+        space.all_continuous("td3", spec)?;
         let (obs_dim, slots) = (spec.obs_dim(), space.slots());
         let mut layout = ParamLayout::new();
         let stack = Stack::declare(&mut layout, "actor", &widths(obs_dim, &config.hidden, slots));
@@ -112,12 +89,11 @@ impl Td3 {
         let critic = Net::new(graph, params, config.critic_adam)?;
 
         let rows = part_rows(config.schedule.batch.max(MAX_ROWS));
-        let trainable = |net: &Net| net.params.layout().trainable_len();
         let part = |_| Part {
-            actor: actor.graph.workspace(rows, trainable(&actor)),
-            critic: critic.graph.workspace(rows, trainable(&critic)),
+            actor: actor.workspace(rows),
+            critic: critic.workspace(rows),
             next: (actor.graph.workspace(rows, 0), critic.graph.workspace(rows, 0)),
-            first: first.workspace(rows, trainable(&critic)),
+            first: first.workspace(rows, critic.params.layout().trainable_len()),
             sums: [0.0; 3],
             targets: vec![0.0; rows],
         };
@@ -184,55 +160,46 @@ impl Td3 {
     fn update_critics(&mut self, batch: &RlBatch, noise: &[f32], rows: &[std::ops::Range<usize>; PARTS]) {
         let Self { config, actor, critic, parts, obs_dim, .. } = self;
         let (n, o, a) = (batch.returns.len(), *obs_dim, self.space.slots());
-        actor.graph.refresh(&actor.target, &mut actor.target_packed, false);
-        join(
-            || critic.graph.refresh(&critic.params, &mut critic.packed, true),
-            || critic.graph.refresh(&critic.target, &mut critic.target_packed, false),
-        );
+        join(|| actor.refresh(true), || critic.refresh(true));
         let (sigma, bound) = (config.target_noise as f32, config.noise_clip as f32);
         let (obs, z, pair, q) = (self.obs, self.z, self.pair, self.q);
-        critic.params.with(|p| {
-            critic.target.with(|t| {
-                actor.target.with(|mu| {
-                    let weights = Weights { flat: p, packed: &critic.packed };
-                    let delayed = Weights { flat: t, packed: &critic.target_packed };
-                    let policy = Weights { flat: mu, packed: &actor.target_packed };
-                    each(parts, rows, |part, rows| {
-                        let Part { critic: ws, next: (next_actor, next_critic), sums, targets, .. } = part;
-                        let m = rows.len();
-                        let of = |values: &'_ [f32], width: usize| -> std::ops::Range<usize> {
-                            debug_assert_eq!(values.len(), n * width);
-                            rows.start * width..rows.end * width
-                        };
-                        let next_obs = &batch.next_obs[of(&batch.next_obs, o)];
-                        next_actor.value_mut(obs)[..m * o].copy_from_slice(next_obs);
-                        actor.graph.forward(policy, next_actor, m, false);
-                        let actions = &mut next_actor.value_mut(z)[..m * a];
-                        for (action, noise) in actions.iter_mut().zip(&noise[of(noise, a)]) {
-                            *action = (action.tanh() + (noise * sigma).clamp(-bound, bound)).clamp(-1.0, 1.0);
+        critic.with(|weights, delayed| {
+            actor.with(|_, policy| {
+                each(parts, rows, |part, rows| {
+                    let Part { critic: ws, next: (next_actor, next_critic), sums, targets, .. } = part;
+                    let m = rows.len();
+                    let of = |values: &'_ [f32], width: usize| -> std::ops::Range<usize> {
+                        debug_assert_eq!(values.len(), n * width);
+                        rows.start * width..rows.end * width
+                    };
+                    let next_obs = &batch.next_obs[of(&batch.next_obs, o)];
+                    next_actor.value_mut(obs)[..m * o].copy_from_slice(next_obs);
+                    actor.graph.forward(policy, next_actor, m, false);
+                    let actions = &mut next_actor.value_mut(z)[..m * a];
+                    for (action, noise) in actions.iter_mut().zip(&noise[of(noise, a)]) {
+                        *action = (action.tanh() + (noise * sigma).clamp(-bound, bound)).clamp(-1.0, 1.0);
+                    }
+                    concat(next_critic.value_mut(pair), next_obs, o, actions, a);
+                    critic.graph.forward(delayed, next_critic, m, false);
+                    let [q1, q2] = q.map(|q| next_critic.value(q));
+                    for (b, y) in rows.clone().zip(targets.iter_mut()) {
+                        let least = at_most(q1[b - rows.start], q2[b - rows.start]);
+                        *y = batch.returns[b] + batch.bootstrap[b] * least;
+                    }
+                    let (s, taken) = (&batch.obs[of(&batch.obs, o)], &batch.actions[of(&batch.actions, a)]);
+                    concat(ws.value_mut(pair), s, o, taken, a);
+                    critic.graph.forward(weights, ws, m, true);
+                    *sums = [0.0; 3];
+                    for q in q {
+                        let (values, grad) = ws.value_and_grad(q, q);
+                        for ((&value, grad), &y) in values[..m].iter().zip(grad).zip(targets.iter()) {
+                            let error = value - y;
+                            sums[0] += error * error / n as f32;
+                            sums[1] += value / (2 * n) as f32;
+                            *grad = 2.0 * error / n as f32;
                         }
-                        concat(next_critic.value_mut(pair), next_obs, o, actions, a);
-                        critic.graph.forward(delayed, next_critic, m, false);
-                        let [q1, q2] = q.map(|q| next_critic.value(q));
-                        for (b, y) in rows.clone().zip(targets.iter_mut()) {
-                            let least = at_most(q1[b - rows.start], q2[b - rows.start]);
-                            *y = batch.returns[b] + batch.bootstrap[b] * least;
-                        }
-                        let (s, taken) = (&batch.obs[of(&batch.obs, o)], &batch.actions[of(&batch.actions, a)]);
-                        concat(ws.value_mut(pair), s, o, taken, a);
-                        critic.graph.forward(weights, ws, m, true);
-                        *sums = [0.0; 3];
-                        for q in q {
-                            let (values, grad) = ws.value_and_grad(q, q);
-                            for ((&value, grad), &y) in values[..m].iter().zip(grad).zip(targets.iter()) {
-                                let error = value - y;
-                                sums[0] += error * error / n as f32;
-                                sums[1] += value / (2 * n) as f32;
-                                *grad = 2.0 * error / n as f32;
-                            }
-                        }
-                        critic.graph.backward(weights, ws);
-                    });
+                    }
+                    critic.graph.backward(weights, ws);
                 });
             });
         });
@@ -243,13 +210,12 @@ impl Td3 {
         let Self { actor, critic, first, parts, obs_dim, .. } = self;
         let (n, o, a) = (batch.returns.len(), *obs_dim, self.space.slots());
         let (first, packed) = (&first.0, &mut first.1);
-        actor.graph.refresh(&actor.params, &mut actor.packed, true);
+        actor.refresh(false);
         first.refresh(&critic.params, packed, true);
         let (obs, z, pair, q) = (self.obs, self.z, self.first_pair, self.first_q);
         critic.params.with(|p| {
-            actor.params.with(|mu| {
+            actor.with(|policy, _| {
                 let weights = Weights { flat: p, packed };
-                let policy = Weights { flat: mu, packed: &actor.packed };
                 each(parts, rows, |part, rows| {
                     let Part { actor: ws, first: critic, next, sums, .. } = part;
                     let m = rows.len();
@@ -286,12 +252,11 @@ impl Td3 {
     fn actions(&mut self, obs: &[f32], batch: usize, actions: &mut [f32]) {
         let Self { actor, parts, obs_dim, .. } = self;
         let (o, a, rows) = (*obs_dim, self.space.slots(), split(batch));
-        actor.graph.refresh(&actor.params, &mut actor.packed, true);
+        actor.refresh(false);
         let (first, second) = actions.split_at_mut(rows[0].len() * a);
         let [one, two] = &mut parts[..] else { unreachable!("two parts") };
         let (input, z) = (self.obs, self.z);
-        actor.params.with(|mu| {
-            let policy = Weights { flat: mu, packed: &actor.packed };
+        actor.with(|policy, _| {
             each(&mut [(one, first), (two, second)], &rows, |(part, out), rows| {
                 let ws = &mut part.next.0;
                 ws.value_mut(input)[..rows.len() * o].copy_from_slice(&obs[rows.start * o..rows.end * o]);
@@ -307,12 +272,10 @@ fn at_most(a: f32, b: f32) -> f32 {
     if b < a || b.is_nan() { b } else { a }
 }
 
-/// One optimiser step with the gradients of the parts; returns the norm.
+/// One optimiser step with the gradients that the parts have in one of their workspaces; returns the norm.
 fn step(net: &mut Net, parts: &mut [Part], one: bool, ws: impl Fn(&mut Part) -> &mut Workspace) -> f32 {
     let [a, b] = parts else { unreachable!("two parts") };
-    let mut gradients = [ws(a).gradient_mut(), ws(b).gradient_mut()];
-    let gradients = if one { &mut gradients[..1] } else { &mut gradients[..] };
-    net.params.with_mut(|p| net.adam.step(p, gradients))
+    net.step(ws(a), (!one).then(|| ws(b)))
 }
 
 impl Actor for Td3 {

@@ -154,7 +154,7 @@ fn discrete_actions_and_impossible_settings_are_refused() {
         let spec = gadm_envs::make(env).unwrap().spec().clone();
         Td3::new(config, &spec, SeedTree::new(1)).err().unwrap().to_string()
     };
-    assert!(refuse(Td3Config::default(), "moving").contains("continuous ones only"));
+    assert!(refuse(Td3Config::default(), "moving").contains("continuous actions only"));
     let text = refuse(Td3Config { policy_delay: 0, ..Td3Config::default() }, "pendulum");
     assert_eq!(text, "config `td3.policy_delay`: expected at least 1, found 0");
 }
