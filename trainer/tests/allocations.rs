@@ -79,17 +79,19 @@ impl Loop {
 const WRITES: u64 = 4;
 const LIST_BYTES: u64 = 64;
 
-/// Allocations and bytes of twenty updates beyond candle's.
-fn allocations(rows: usize) -> (u64, u64) {
+/// Allocations and bytes beyond candle's, in each of two stretches of twenty updates.
+fn allocations(rows: usize) -> [(u64, u64); 2] {
     let mut work = Loop::new(rows);
     (0..3).for_each(|_| work.once(rows));
-    let counted = allocation_counter::measure(|| (0..20).for_each(|_| work.once(rows)));
-    (counted.count_total - 20 * WRITES, counted.bytes_total - 20 * WRITES * LIST_BYTES)
+    [(); 2].map(|()| {
+        let counted = allocation_counter::measure(|| (0..20).for_each(|_| work.once(rows)));
+        (counted.count_total - 20 * WRITES, counted.bytes_total - 20 * WRITES * LIST_BYTES)
+    })
 }
 
 #[test]
 fn updates_allocate_nothing_in_one_part_or_two() {
-    assert_eq!((allocations(32), allocations(200)), ((0, 0), (0, 0)));
+    assert_eq!((allocations(32), allocations(200)), ([(0, 0); 2], [(0, 0); 2]));
 }
 
 #[test]
@@ -99,7 +101,10 @@ fn updates_shared_with_another_thread_allocate_nothing_on_the_calling_one() {
         assert!(parallel::start(2));
         allocations(200)
     });
-    assert_eq!(counted.join().unwrap(), (0, 0));
+    // The first time that a thread of rayon looks into another's queue, at a moment of its own, it registers with the memory
+    // reclamation of `crossbeam-epoch`: one allocation in a thread's life, so it can be in one stretch and not in both.
+    let stretches = counted.join().unwrap();
+    assert!(stretches.contains(&(0, 0)), "{stretches:?}");
 }
 
 #[test]

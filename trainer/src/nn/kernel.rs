@@ -7,17 +7,14 @@
 
 use pulp::{Simd, WithSimd};
 
-/// Columns of a panel.
-pub const PANEL: usize = 16;
-/// Rows of a tile.
-pub const TILE: usize = 6;
+use super::pack::{PANEL, TILE, groups_len, panels_len};
 
 /// The left factor, `m x k`.
 #[derive(Clone, Copy, Debug)]
 pub enum Left<'a> {
     /// Row-major.
     Rows(&'a [f32]),
-    /// As [`pack_groups`] leaves it: groups of [`TILE`] rows, column by column.
+    /// As [`pack_groups_and_sum`](super::pack::pack_groups_and_sum) leaves it: groups of [`TILE`] rows, column by column.
     Groups(&'a [f32]),
 }
 
@@ -28,72 +25,16 @@ pub enum Epilogue<'a> {
     Store,
     /// `c += tile`.
     Add,
+    /// `c = tile`, or `c += tile` where `add`, for what lies where `gate` (as `c`) is above zero; the rest of the tile counts as
+    /// zero. The gradient of a ReLU whose output is `gate`.
+    Gated {
+        /// Output of the ReLU.
+        gate: &'a [f32],
+        /// Whether there is something to add to.
+        add: bool,
+    },
     /// `c = tile + bias`, one number per column, then ReLU where the flag is set (NaN stays NaN).
     Bias(&'a [f32], bool),
-}
-
-/// Length of a matrix of `rows x cols` in panels.
-pub fn panels_len(rows: usize, cols: usize) -> usize {
-    cols.div_ceil(PANEL) * PANEL * rows
-}
-
-/// Length of the groups of a matrix of `m x k`.
-pub fn groups_len(m: usize, k: usize) -> usize {
-    m.div_ceil(TILE) * TILE * k
-}
-
-/// Writes row-major `x` (`rows x cols`) in panels of its columns; columns that are not there are zero.
-pub fn pack_panels(x: &[f32], rows: usize, cols: usize, out: &mut [f32]) {
-    for (p, panel) in out.chunks_exact_mut(PANEL * rows).enumerate().take(cols.div_ceil(PANEL)) {
-        let at = p * PANEL;
-        let width = (cols - at).min(PANEL);
-        for (row, to) in x.chunks_exact(cols).zip(panel.chunks_exact_mut(PANEL)) {
-            if width == PANEL {
-                to.copy_from_slice(&row[at..at + PANEL]);
-            } else {
-                to[..width].copy_from_slice(&row[at..]);
-                to[width..].fill(0.0);
-            }
-        }
-    }
-}
-
-/// Writes the transpose of row-major `x` (`cols x rows`) in panels of its columns (rows of `x`).
-pub fn pack_panels_transposed(x: &[f32], rows: usize, cols: usize, out: &mut [f32]) {
-    for (p, panel) in out.chunks_exact_mut(PANEL * rows).enumerate().take(cols.div_ceil(PANEL)) {
-        let at = p * PANEL;
-        let width = (cols - at).min(PANEL);
-        if width < PANEL {
-            panel.fill(0.0);
-        }
-        // Eight numbers of a row at a time: each line of `x` is read once, and eight lines of the panel stay in the cache.
-        for start in (0..rows).step_by(8) {
-            let n = (rows - start).min(8);
-            let block = &mut panel[start * PANEL..(start + n) * PANEL];
-            for j in 0..width {
-                let from = &x[(at + j) * rows + start..][..n];
-                for (to, &v) in block.chunks_exact_mut(PANEL).zip(from) {
-                    to[j] = v;
-                }
-            }
-        }
-    }
-}
-
-/// Writes the transpose of row-major `x` (`k x m`) in groups of [`TILE`] of its columns; columns that are not there are zero.
-pub fn pack_groups(x: &[f32], m: usize, k: usize, out: &mut [f32]) {
-    for (g, group) in out.chunks_exact_mut(TILE * k).enumerate().take(m.div_ceil(TILE)) {
-        let at = g * TILE;
-        let width = (m - at).min(TILE);
-        for (row, to) in x.chunks_exact(m).zip(group.chunks_exact_mut(TILE)) {
-            if width == TILE {
-                to.copy_from_slice(&row[at..at + TILE]);
-            } else {
-                to[..width].copy_from_slice(&row[at..]);
-                to[width..].fill(0.0);
-            }
-        }
-    }
 }
 
 /// `c (m x n, row-major) = left (m x k) · right (k x n, in panels)`, then the epilogue.
@@ -129,8 +70,12 @@ pub fn product(product: Product) {
     let need = panels_len(k, n);
     assert!(right.len() >= need, "right {k} x {n} needs {need} numbers, the slice has {}", right.len());
     assert!(c.len() >= m * n, "c: {m} x {n} needs {} numbers, the slice has {}", m * n, c.len());
-    if let Epilogue::Bias(bias, _) = end {
-        assert!(bias.len() >= n, "bias of {n} numbers, the slice has {}", bias.len());
+    match end {
+        Epilogue::Bias(bias, _) => assert!(bias.len() >= n, "bias of {n} numbers, the slice has {}", bias.len()),
+        Epilogue::Gated { gate, .. } => {
+            assert!(gate.len() >= m * n, "gate: {m} x {n} needs {} numbers, the slice has {}", m * n, gate.len());
+        }
+        Epilogue::Store | Epilogue::Add => {}
     }
     dispatch(product);
 }
@@ -158,7 +103,29 @@ impl WithSimd for Product<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { m, n, k, left, right, c, end } = self;
+        match self.end {
+            Epilogue::Store => self.tiles(simd, Store),
+            Epilogue::Add => self.tiles(simd, Add),
+            Epilogue::Gated { gate, add: false } => self.tiles(simd, Gated(Store, gate)),
+            Epilogue::Gated { gate, add: true } => self.tiles(simd, Gated(Add, gate)),
+            Epilogue::Bias(bias, false) => self.tiles(simd, Bias::<false>(bias)),
+            Epilogue::Bias(bias, true) => self.tiles(simd, Bias::<true>(bias)),
+        }
+    }
+}
+
+impl Product<'_> {
+    #[inline(always)]
+    fn tiles<S: Simd>(self, simd: S, end: impl End) {
+        match self.left {
+            Left::Rows(x) => self.tiles_of(simd, end, Rows(x)),
+            Left::Groups(x) => self.tiles_of(simd, end, Groups(x)),
+        }
+    }
+
+    #[inline(always)]
+    fn tiles_of<S: Simd, L: Source>(self, simd: S, end: impl End, left: L) {
+        let Self { m, n, k, right, c, .. } = self;
         for start in (0..m).step_by(BLOCK) {
             let stop = (start + BLOCK).min(m);
             for (p, panel) in right.chunks_exact((PANEL * k).max(1)).enumerate().take(n.div_ceil(PANEL)) {
@@ -168,19 +135,175 @@ impl WithSimd for Product<'_> {
                     tile::<S, TILE>(simd, i, TILE, k, left, panel, at, c, end);
                     i += TILE;
                 }
-                match (left, stop - i) {
-                    (_, 0) => {}
-                    (Left::Groups(_), rows) => tile::<S, TILE>(simd, i, rows, k, left, panel, at, c, end),
-                    (_, 1) => tile::<S, 1>(simd, i, 1, k, left, panel, at, c, end),
-                    (_, 2) => tile::<S, 2>(simd, i, 2, k, left, panel, at, c, end),
-                    (_, 3) => tile::<S, 3>(simd, i, 3, k, left, panel, at, c, end),
-                    (_, 4) => tile::<S, 4>(simd, i, 4, k, left, panel, at, c, end),
-                    (_, rows) => tile::<S, 5>(simd, i, rows, k, left, panel, at, c, end),
+                match stop - i {
+                    0 => {}
+                    rows if L::PADDED => tile::<S, TILE>(simd, i, rows, k, left, panel, at, c, end),
+                    1 => tile::<S, 1>(simd, i, 1, k, left, panel, at, c, end),
+                    2 => tile::<S, 2>(simd, i, 2, k, left, panel, at, c, end),
+                    3 => tile::<S, 3>(simd, i, 3, k, left, panel, at, c, end),
+                    4 => tile::<S, 4>(simd, i, 4, k, left, panel, at, c, end),
+                    rows => tile::<S, 5>(simd, i, rows, k, left, panel, at, c, end),
                 }
             }
         }
     }
 }
+
+/// [`Epilogue`] as a type, so that the end of a tile is compiled for each and holds no branch.
+trait End: Copy {
+    /// What becomes of `sum` where `to` stands, from the number `at` of the result and from that column on.
+    fn finish<S: Simd>(self, simd: S, sum: S::f32s, to: S::f32s, at: usize, column: usize) -> S::f32s;
+    /// The same for one number.
+    fn finish_one(self, sum: f32, to: f32, at: usize, column: usize) -> f32;
+}
+
+#[derive(Clone, Copy)]
+struct Store;
+#[derive(Clone, Copy)]
+struct Add;
+#[derive(Clone, Copy)]
+struct Bias<'a, const RELU: bool>(&'a [f32]);
+#[derive(Clone, Copy)]
+struct Gated<'a, E>(E, &'a [f32]);
+
+impl End for Store {
+    #[inline(always)]
+    fn finish<S: Simd>(self, _: S, sum: S::f32s, _: S::f32s, _: usize, _: usize) -> S::f32s {
+        sum
+    }
+    #[inline(always)]
+    fn finish_one(self, sum: f32, _: f32, _: usize, _: usize) -> f32 {
+        sum
+    }
+}
+
+impl End for Add {
+    #[inline(always)]
+    fn finish<S: Simd>(self, simd: S, sum: S::f32s, to: S::f32s, _: usize, _: usize) -> S::f32s {
+        simd.add_f32s(to, sum)
+    }
+    #[inline(always)]
+    fn finish_one(self, sum: f32, to: f32, _: usize, _: usize) -> f32 {
+        to + sum
+    }
+}
+
+impl<const RELU: bool> End for Bias<'_, RELU> {
+    #[inline(always)]
+    fn finish<S: Simd>(self, simd: S, sum: S::f32s, _: S::f32s, _: usize, column: usize) -> S::f32s {
+        let bias = S::as_simd_f32s(&self.0[column..][..S::F32_LANES]).0[0];
+        let value = simd.add_f32s(sum, bias);
+        let zero = simd.splat_f32s(0.0);
+        if RELU { simd.select_f32s(simd.less_than_f32s(value, zero), zero, value) } else { value }
+    }
+    #[inline(always)]
+    fn finish_one(self, sum: f32, _: f32, _: usize, column: usize) -> f32 {
+        let value = sum + self.0[column];
+        if RELU && value < 0.0 { 0.0 } else { value }
+    }
+}
+
+impl<E: End> End for Gated<'_, E> {
+    #[inline(always)]
+    fn finish<S: Simd>(self, simd: S, sum: S::f32s, to: S::f32s, at: usize, column: usize) -> S::f32s {
+        let gate = S::as_simd_f32s(&self.1[at..][..S::F32_LANES]).0[0];
+        let zero = simd.splat_f32s(0.0);
+        let sum = simd.select_f32s(simd.less_than_f32s(zero, gate), sum, zero);
+        self.0.finish(simd, sum, to, at, column)
+    }
+    #[inline(always)]
+    fn finish_one(self, sum: f32, to: f32, at: usize, column: usize) -> f32 {
+        self.0.finish_one(if self.1[at] > 0.0 { sum } else { 0.0 }, to, at, column)
+    }
+}
+
+/// [`Left`] as a type.
+trait Source: Copy {
+    /// Whether rows that are not there may be read.
+    const PADDED: bool;
+    /// Sums of `R` rows from `i` on, for the vectors `part` and `part + 1` of the `per` vectors of a panel row.
+    fn sums<S: Simd, const R: usize>(
+        self,
+        simd: S,
+        i: usize,
+        k: usize,
+        panel: &[S::f32s],
+        per: usize,
+        part: usize,
+    ) -> Sums<S, R>;
+}
+
+/// Two vectors for each row of a tile.
+type Sums<S, const R: usize> = [[<S as Simd>::f32s; 2]; R];
+
+/// One step of the inner products.
+#[inline(always)]
+fn step<S: Simd, const R: usize>(simd: S, sums: &mut Sums<S, R>, a: impl Fn(usize) -> f32, b0: S::f32s, b1: S::f32s) {
+    for (r, sums) in sums.iter_mut().enumerate() {
+        let a = simd.splat_f32s(a(r));
+        sums[0] = simd.mul_add_e_f32s(a, b0, sums[0]);
+        sums[1] = simd.mul_add_e_f32s(a, b1, sums[1]);
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Rows<'a>(&'a [f32]);
+#[derive(Clone, Copy)]
+struct Groups<'a>(&'a [f32]);
+
+impl Source for Rows<'_> {
+    const PADDED: bool = false;
+
+    #[inline(always)]
+    fn sums<S: Simd, const R: usize>(
+        self,
+        simd: S,
+        i: usize,
+        k: usize,
+        panel: &[S::f32s],
+        per: usize,
+        part: usize,
+    ) -> Sums<S, R> {
+        let mut sums = [[simd.splat_f32s(0.0); 2]; R];
+        let x: [_; R] = std::array::from_fn(|r| self.0[(i + r) * k..][..k].as_chunks::<STEPS>());
+        let mut blocks = panel.chunks_exact(STEPS * per);
+        for (j, b) in (&mut blocks).enumerate().take(k / STEPS) {
+            let x: [&[f32; STEPS]; R] = std::array::from_fn(|r| &x[r].0[j]);
+            for s in 0..STEPS {
+                step::<S, R>(simd, &mut sums, |r| x[r][s], b[s * per + part], b[s * per + part + 1]);
+            }
+        }
+        for (j, b) in blocks.remainder().chunks_exact(per).enumerate().take(k % STEPS) {
+            step::<S, R>(simd, &mut sums, |r| x[r].1[j], b[part], b[part + 1]);
+        }
+        sums
+    }
+}
+
+impl Source for Groups<'_> {
+    const PADDED: bool = true;
+
+    #[inline(always)]
+    fn sums<S: Simd, const R: usize>(
+        self,
+        simd: S,
+        i: usize,
+        k: usize,
+        panel: &[S::f32s],
+        per: usize,
+        part: usize,
+    ) -> Sums<S, R> {
+        let mut sums = [[simd.splat_f32s(0.0); 2]; R];
+        let group = &self.0[i * k..][..TILE * k];
+        for (a, b) in group.as_chunks::<TILE>().0.iter().zip(panel.chunks_exact(per)) {
+            step::<S, R>(simd, &mut sums, |r| a[r], b[part], b[part + 1]);
+        }
+        sums
+    }
+}
+
+/// Steps between two checks of the bounds of rows.
+const STEPS: usize = 8;
 
 /// Rows of the left factor that pass by all panels before the next ones do: they stay in the second cache.
 const BLOCK: usize = 24 * TILE;
@@ -201,71 +324,35 @@ fn tile<S: Simd, const R: usize>(
     i: usize,
     rows: usize,
     k: usize,
-    left: Left,
+    left: impl Source,
     panel: &[f32],
     at: Place,
     c: &mut [f32],
-    end: Epilogue,
+    end: impl End,
 ) {
     let lanes = S::F32_LANES;
     let per = PANEL / lanes;
     let (panel, _) = S::as_simd_f32s(panel);
     // Two vectors at a time: once round with eight lanes, twice with four.
     for part in (0..per).step_by(2) {
-        let mut sums = [[simd.splat_f32s(0.0); 2]; R];
-        match left {
-            Left::Rows(x) => {
-                let x: [&[f32]; R] = std::array::from_fn(|r| &x[(i + r) * k..][..k]);
-                for (j, b) in panel.chunks_exact(per).take(k).enumerate() {
-                    let (b0, b1) = (b[part], b[part + 1]);
-                    for r in 0..R {
-                        let a = simd.splat_f32s(x[r][j]);
-                        sums[r][0] = simd.mul_add_e_f32s(a, b0, sums[r][0]);
-                        sums[r][1] = simd.mul_add_e_f32s(a, b1, sums[r][1]);
-                    }
-                }
+        let sums: Sums<S, R> = left.sums(simd, i, k, panel, per, part);
+        let column = at.column + part * lanes;
+        if at.columns == PANEL && rows == R {
+            for (r, sums) in sums.iter().enumerate() {
+                let first = (i + r) * at.n + column;
+                let (to, _) = S::as_mut_simd_f32s(&mut c[first..][..2 * lanes]);
+                to[0] = end.finish(simd, sums[0], to[0], first, column);
+                to[1] = end.finish(simd, sums[1], to[1], first + lanes, column + lanes);
             }
-            Left::Groups(x) => {
-                let group = &x[i * k..][..TILE * k];
-                for (a, b) in group.chunks_exact(TILE).zip(panel.chunks_exact(per)) {
-                    let (b0, b1) = (b[part], b[part + 1]);
-                    for r in 0..R {
-                        let a = simd.splat_f32s(a[r]);
-                        sums[r][0] = simd.mul_add_e_f32s(a, b0, sums[r][0]);
-                        sums[r][1] = simd.mul_add_e_f32s(a, b1, sums[r][1]);
-                    }
-                }
-            }
-        }
-        for (r, sums) in sums.iter().enumerate().take(rows) {
-            let row = &mut c[(i + r) * at.n + at.column..][..at.columns];
-            for (h, &sum) in sums.iter().enumerate() {
-                let first = (part + h) * lanes;
-                if first + lanes <= at.columns {
-                    let to = &mut S::as_mut_simd_f32s(&mut row[first..first + lanes]).0[0];
-                    *to = match end {
-                        Epilogue::Store => sum,
-                        Epilogue::Add => simd.add_f32s(*to, sum),
-                        Epilogue::Bias(bias, relu) => {
-                            let bias = S::as_simd_f32s(&bias[at.column + first..][..lanes]).0[0];
-                            let value = simd.add_f32s(sum, bias);
-                            let zero = simd.splat_f32s(0.0);
-                            if relu { simd.select_f32s(simd.less_than_f32s(value, zero), zero, value) } else { value }
-                        }
-                    };
-                } else {
-                    let mut values = [0.0; PANEL];
-                    S::as_mut_simd_f32s(&mut values[..lanes]).0[0] = sum;
-                    for (j, value) in (first..at.columns).zip(values) {
-                        row[j] = match end {
-                            Epilogue::Store => value,
-                            Epilogue::Add => row[j] + value,
-                            Epilogue::Bias(bias, relu) => {
-                                let value = value + bias[at.column + j];
-                                if relu && value < 0.0 { 0.0 } else { value }
-                            }
-                        };
-                    }
+        } else {
+            for (r, sums) in sums.iter().enumerate().take(rows) {
+                let mut values = [0.0; PANEL];
+                let (to, _) = S::as_mut_simd_f32s(&mut values);
+                (to[0], to[1]) = (sums[0], sums[1]);
+                let first = (i + r) * at.n + column;
+                let width = at.columns.saturating_sub(part * lanes).min(2 * lanes);
+                for (j, (to, &sum)) in c[first..][..width].iter_mut().zip(&values).enumerate() {
+                    *to = end.finish_one(sum, *to, first + j, column + j);
                 }
             }
         }
@@ -277,6 +364,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::nn::pack::{pack_groups_and_sum, pack_panels, pack_panels_transposed};
     use crate::seed::SeedTree;
 
     /// The same product in f64, one number at a time.
@@ -302,9 +390,17 @@ mod tests {
             pack_panels_transposed(&transposed(&b, k, n), k, n, &mut other);
             prop_assert_eq!(&panels, &other);
             let mut groups = vec![9.0; groups_len(m, k)];
-            pack_groups(&transposed(&a, m, k), m, k, &mut groups);
+            let mut sums = vec![1.0; m];
+            pack_groups_and_sum((&transposed(&a, m, k), m, k, &mut groups, &mut sums));
+            for (i, sum) in sums.iter().enumerate() {
+                let row: f64 = a[i * k..][..k].iter().map(|&v| f64::from(v)).sum();
+                prop_assert!((f64::from(*sum) - 1.0 - row).abs() < 1e-5, "sum of column {i}: {sum}, {row}");
+            }
             for left in [Left::Rows(&a), Left::Groups(&groups)] {
-                for end in [Epilogue::Store, Epilogue::Add, Epilogue::Bias(&bias, false), Epilogue::Bias(&bias, true)] {
+                let gate = &start[..];
+                let gated = [false, true].map(|add| Epilogue::Gated { gate, add });
+                let biased = [false, true].map(|relu| Epilogue::Bias(&bias, relu));
+                for end in [Epilogue::Store, Epilogue::Add].into_iter().chain(gated).chain(biased) {
                     for wide in [true, false] {
                         let mut c = start.clone();
                         let product = Product { m, n, k, left, right: &panels, c: &mut c, end };
@@ -313,6 +409,10 @@ mod tests {
                             let value = match end {
                                 Epilogue::Store => sum,
                                 Epilogue::Add => sum + f64::from(start[i]),
+                                Epilogue::Gated { add, .. } => {
+                                    let kept = if start[i] > 0.0 { sum } else { 0.0 };
+                                    if add { kept + f64::from(start[i]) } else { kept }
+                                }
                                 Epilogue::Bias(bias, relu) => {
                                     let value = sum + f64::from(bias[i % n]);
                                     if relu { value.max(0.0) } else { value }

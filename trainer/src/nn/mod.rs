@@ -5,6 +5,7 @@ pub mod graph;
 pub mod kernel;
 pub mod net;
 pub mod oracle;
+pub mod pack;
 pub mod parallel;
 pub mod params;
 pub mod stack;

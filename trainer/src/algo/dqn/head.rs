@@ -8,9 +8,8 @@
 use std::ops::Range;
 
 use crate::nn::graph::OuterLayer;
-use crate::nn::kernel::{
-    Epilogue, Left, Product, groups_len, pack_groups, pack_panels, pack_panels_transposed, panels_len, product,
-};
+use crate::nn::kernel::{Epilogue, Left, Product, product};
+use crate::nn::pack::{groups_len, pack_groups_and_sum, pack_panels, pack_panels_transposed, panels_len};
 use crate::nn::vector::{add_scaled, dot, vectorised};
 use crate::nn::{Init, ParamLayout, Params};
 
@@ -223,19 +222,16 @@ impl Heads {
                 let left = Left::Rows(grad);
                 product(Product { m: batch, n: w, k: e, left, right, c, end: Epilogue::Store });
             };
-            pack_groups(&grad[..batch * e], e, batch, left);
+            mean.1.fill(0.0);
+            vectorised(pack_groups_and_sum, (&grad[..batch * e], e, batch, left, &mut mean.1[..]));
             pack_panels(&hv[..batch * w], batch, w, right);
             weights(left, right, &mut gradient[self.wv.clone()], Epilogue::Add);
             inputs(&derived.value_panels.1, db);
             pack_panels(&ha[..batch * w], batch, w, right);
             weights(left, right, &mut mean.0, Epilogue::Store);
             inputs(&derived.mean_panels.1, da);
-            mean.1.fill(0.0);
             vectorised(
                 |()| {
-                    for row in grad[..batch * e].chunks_exact(e) {
-                        add_scaled(&mut mean.1, row, 1.0);
-                    }
                     add_scaled(&mut gradient[self.bv.clone()], &mean.1, 1.0);
                     // The mean over latents: -1/K of the head's gradient reaches every row of that head.
                     for block in gradient[self.wa.clone()].chunks_exact_mut(e * w) {

@@ -1,8 +1,13 @@
 use std::vec::Vec as StdVec;
 
+use gadm_runtime::space::ActionHead;
 use proptest::prelude::*;
 
+use super::frames::{CRC8, CRC32};
+use super::scale::{Scale, round_i16};
 use super::*;
+use crate::frame::{Frame, standard};
+use crate::protocol::*;
 
 const HASH: u64 = 0x1122_3344_5566_7788;
 

@@ -1,0 +1,158 @@
+//! The backward pass.
+
+use std::ops::Range;
+
+use super::super::kernel::{Epilogue, Left, Product, product};
+use super::super::pack::{pack_groups_and_sum, pack_panels};
+use super::super::parallel;
+use super::super::vector::vectorised;
+use super::standardise::add_sums;
+use super::workspace::Given;
+use super::{Graph, Op, Weights, Workspace};
+
+impl Graph {
+    /// Back-propagates the gradients that the caller put into outputs with [`Workspace::grad_mut`] after the last forward pass.
+    /// The parameter gradients are **added** to [`Workspace::gradient`], which the forward pass had set to zero. Values without
+    /// a gradient count as zero.
+    pub fn backward(&self, weights: Weights, ws: &mut Workspace) {
+        let batch = ws.batch;
+        self.backward_parts(weights, std::slice::from_mut(ws), &[0..batch, batch..batch]);
+    }
+
+    /// [`backward`](Self::backward) after [`forward_parts`](Self::forward_parts): every part gets the gradient of its own rows.
+    pub fn backward_parts(&self, weights: Weights, parts: &mut [Workspace], rows: &[Range<usize>; parallel::PARTS]) {
+        let mut end = self.ops.len();
+        for start in self.cuts().rev().skip(1).chain([0]) {
+            parallel::each(parts, rows, |ws, _| {
+                self.run_back(weights, ws, start + usize::from(self.is_standardise(start))..end);
+                if self.is_standardise(start) {
+                    self.standardise_sums(ws, start);
+                }
+            });
+            if self.is_standardise(start) {
+                let batch = parts.iter().zip(rows).map(|(_, r)| r.len()).sum::<usize>();
+                add_sums(parts, rows, start);
+                parallel::each(parts, rows, |ws, _| self.standardise_backward(ws, start, batch));
+            }
+            end = start;
+        }
+    }
+
+    fn run_back(&self, weights: Weights, ws: &mut Workspace, ops: Range<usize>) {
+        let batch = ws.batch;
+        for i in ops.rev() {
+            match &self.ops[i] {
+                Op::Dense { x, y, w, b, relu } => {
+                    if ws.given[*y] == Given::Nothing {
+                        continue;
+                    }
+                    let (n, k) = (self.widths[*y], self.widths[*x]);
+                    let mut dy = std::mem::take(&mut ws.grad[*y]);
+                    let Workspace { act, grad, given, left, right, gradient, .. } = ws;
+                    if *relu && given[*y] == Given::Plain {
+                        vectorised(|()| mask_by_sign(&mut dy[..batch * n], &act[*y]), ());
+                    }
+                    vectorised(pack_groups_and_sum, (&dy[..batch * n], n, batch, left, &mut gradient[b.clone()]));
+                    pack_panels(&act[*x][..batch * k], batch, k, right);
+                    let c = &mut gradient[w.clone()];
+                    product(Product { m: n, n: k, k: batch, left: Left::Groups(left), right, c, end: Epilogue::Add });
+                    if self.needs_grad[*x] {
+                        let add = given[*x] != Given::Nothing;
+                        let end = match (self.relu[*x], add) {
+                            (true, _) => Epilogue::Gated { gate: &act[*x], add },
+                            (false, true) => Epilogue::Add,
+                            (false, false) => Epilogue::Store,
+                        };
+                        if !add {
+                            given[*x] = if self.relu[*x] { Given::Gated } else { Given::Plain };
+                        }
+                        let right = &weights.packed.ops[i].1;
+                        product(Product { m: batch, n: k, k: n, left: Left::Rows(&dy), right, c: &mut grad[*x], end });
+                    }
+                    ws.grad[*y] = dy;
+                }
+                Op::Mul { a, b, y } => {
+                    if ws.given[*y] == Given::Nothing {
+                        continue;
+                    }
+                    let n = batch * self.widths[*y];
+                    let [mut fa, mut fb] = [*a, *b].map(|slot| Factor {
+                        value: std::mem::take(&mut ws.act[slot]),
+                        grad: std::mem::take(&mut ws.grad[slot]),
+                        floor: if self.relu[slot] { 0.0 } else { f32::NEG_INFINITY },
+                        add: ws.given[slot] != Given::Nothing,
+                    });
+                    vectorised(multiply_back, (&ws.grad[*y][..n], &mut fa, &mut fb));
+                    for (slot, factor) in [(*a, fa), (*b, fb)] {
+                        (ws.act[slot], ws.grad[slot]) = (factor.value, factor.grad);
+                        if ws.given[slot] == Given::Nothing {
+                            ws.given[slot] = Given::Gated;
+                        }
+                    }
+                }
+                Op::Film { x, scale, shift, y, relu } => {
+                    if ws.given[*y] == Given::Nothing {
+                        continue;
+                    }
+                    let mut dy = std::mem::take(&mut ws.grad[*y]);
+                    if *relu {
+                        let n = batch * self.widths[*y];
+                        vectorised(|()| mask_by_sign(&mut dy[..n], &ws.act[*y]), ());
+                    }
+                    let (xs, ss) = (std::mem::take(&mut ws.act[*x]), std::mem::take(&mut ws.act[*scale]));
+                    ws.accumulate(self, *x, &dy, &ss, |g, s| g * (1.0 + s));
+                    ws.accumulate(self, *scale, &dy, &xs, |g, x| g * x);
+                    ws.accumulate(self, *shift, &dy, &dy, |g, _| g);
+                    (ws.act[*x], ws.act[*scale]) = (xs, ss);
+                    ws.grad[*y] = dy;
+                }
+                Op::Standardise { .. } => unreachable!("the stretches end before standardisations"),
+                Op::Quantise { x, y, .. } => {
+                    if ws.given[*y] != Given::Nothing {
+                        let dy = std::mem::take(&mut ws.grad[*y]);
+                        ws.accumulate(self, *x, &dy, &dy, |g, _| g);
+                        ws.grad[*y] = dy;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Clears the gradient where a ReLU cut its output `out` off.
+#[inline(always)]
+fn mask_by_sign(grad: &mut [f32], out: &[f32]) {
+    for (g, &o) in grad.iter_mut().zip(out) {
+        *g = if o > 0.0 { *g } else { 0.0 };
+    }
+}
+
+/// One side of an element-wise product in the backward pass.
+struct Factor {
+    value: Vec<f32>,
+    grad: Vec<f32>,
+    /// Zero where the value is the output of a ReLU: at and below it there is no gradient.
+    floor: f32,
+    /// Whether `grad` holds something to add to.
+    add: bool,
+}
+
+impl Factor {
+    /// Takes the gradient of one number: `dy` times the other factor.
+    #[inline(always)]
+    fn take(grad: &mut f32, value: f32, floor: f32, add: bool, gradient: f32) {
+        let gradient = if value > floor { gradient } else { 0.0 };
+        *grad = if add { *grad + gradient } else { gradient };
+    }
+}
+
+/// Gradients of both factors of a product from its own, `dy`, in one pass.
+#[inline(always)]
+fn multiply_back((dy, a, b): (&[f32], &mut Factor, &mut Factor)) {
+    let (floors, adds) = ((a.floor, b.floor), (a.add, b.add));
+    let sides = a.grad.iter_mut().zip(&a.value).zip(b.grad.iter_mut().zip(&b.value));
+    for (&g, ((da, &x), (db, &w))) in dy.iter().zip(sides) {
+        Factor::take(da, x, floors.0, adds.0, g * w);
+        Factor::take(db, w, floors.1, adds.1, g * x);
+    }
+}
