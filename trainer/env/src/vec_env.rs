@@ -1,7 +1,7 @@
 //! A row of environments that are stepped together and reset themselves.
 
 use std::{
-    sync::mpsc::{Receiver, SyncSender, sync_channel},
+    sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel},
     thread::JoinHandle,
 };
 
@@ -141,7 +141,7 @@ impl Worker {
         let (to, jobs) = sync_channel::<Box<Chunk>>(1);
         let (results, from) = sync_channel(1);
         let work = move || {
-            while let Ok(mut chunk) = jobs.recv() {
+            while let Some(mut chunk) = receive(&jobs) {
                 chunk.step();
                 if results.send(chunk).is_err() {
                     break;
@@ -151,6 +151,21 @@ impl Worker {
         let thread = std::thread::Builder::new().name(format!("env-worker-{number}")).spawn(work);
         Ok(Self { to: Some(to), from, thread: Some(thread.map_err(|_| EnvError::Worker)?) })
     }
+}
+
+/// Waits for the next value; `None` where the other side is gone. Looks for it a short while before it sleeps: rows of
+/// environments that are stepped one after the other pass the work on within microseconds, and waking a thread takes tens.
+fn receive<T>(from: &Receiver<T>) -> Option<T> {
+    /// About 20 µs.
+    const LOOKS: u32 = 2000;
+    for _ in 0..LOOKS {
+        match from.try_recv() {
+            Ok(value) => return Some(value),
+            Err(TryRecvError::Empty) => std::hint::spin_loop(),
+            Err(TryRecvError::Disconnected) => return None,
+        }
+    }
+    from.recv().ok()
 }
 
 impl Drop for Worker {
@@ -310,7 +325,7 @@ impl VecEnv {
         }
         self.chunks[0].as_mut().expect(AT_HOME).step();
         for (chunk, worker) in self.chunks[1..].iter_mut().zip(&self.workers) {
-            *chunk = Some(worker.from.recv().map_err(|_| EnvError::Worker)?);
+            *chunk = Some(receive(&worker.from).ok_or(EnvError::Worker)?);
         }
         self.gather();
         Ok(&self.batch)

@@ -6,6 +6,7 @@ use super::super::kernel::{Epilogue, Left, Product, product};
 use super::super::pack::{pack_groups_and_sum, pack_panels};
 use super::super::parallel;
 use super::super::vector::vectorised;
+use super::lookup::look_up_back;
 use super::standardise::add_sums;
 use super::workspace::Given;
 use super::{Graph, Op, Weights, Workspace};
@@ -42,20 +43,34 @@ impl Graph {
         let batch = ws.batch;
         for i in ops.rev() {
             match &self.ops[i] {
-                Op::Dense { x, y, w, b, relu } => {
+                Op::Dense { x, y, w, b, relu, lookup } => {
                     if ws.given[*y] == Given::Nothing {
                         continue;
                     }
                     let (n, k) = (self.widths[*y], self.widths[*x]);
                     let mut dy = std::mem::take(&mut ws.grad[*y]);
-                    let Workspace { act, grad, given, left, right, gradient, .. } = ws;
+                    let Workspace { act, grad, given, codes, left, right, gradient, .. } = ws;
                     if *relu && given[*y] == Given::Plain {
                         vectorised(|()| mask_by_sign(&mut dy[..batch * n], &act[*y]), ());
                     }
-                    vectorised(pack_groups_and_sum, (&dy[..batch * n], n, batch, left, &mut gradient[b.clone()]));
-                    pack_panels(&act[*x][..batch * k], batch, k, right);
-                    let c = &mut gradient[w.clone()];
-                    product(Product { m: n, n: k, k: batch, left: Left::Groups(left), right, c, end: Epilogue::Add });
+                    let rows = &dy[..batch * n];
+                    let [c, bias] =
+                        gradient.get_disjoint_mut([w.clone(), b.clone()]).expect("weights and biases lie apart");
+                    if *lookup {
+                        vectorised(look_up_back, (&codes[..batch], rows, k, left, c, bias));
+                    } else {
+                        vectorised(pack_groups_and_sum, (rows, n, batch, left, bias));
+                        pack_panels(&act[*x][..batch * k], batch, k, right);
+                        product(Product {
+                            m: n,
+                            n: k,
+                            k: batch,
+                            left: Left::Groups(left),
+                            right,
+                            c,
+                            end: Epilogue::Add,
+                        });
+                    }
                     if self.needs_grad[*x] {
                         let add = given[*x] != Given::Nothing;
                         let end = match (self.relu[*x], add) {

@@ -5,6 +5,7 @@ use std::ops::Range;
 use super::super::kernel::{Epilogue, Left, Product, product};
 use super::super::parallel;
 use super::super::vector::{max, vectorised};
+use super::lookup::look_up;
 use super::standardise::{column_statistics, combine_statistics};
 use super::{Graph, Op, STANDARDISE_EPS, Weights, Workspace};
 
@@ -52,6 +53,12 @@ impl Graph {
         let batch = ws.batch;
         for i in ops {
             match &self.ops[i] {
+                Op::Dense { x, y, b, relu, lookup: true, .. } => {
+                    let floor = if *relu { 0.0 } else { f32::NEG_INFINITY };
+                    let (bias, panels) = (&params[b.clone()], weights.packed.ops[i].0.as_slice());
+                    let Workspace { act, codes, .. } = ws;
+                    vectorised(look_up, (&codes[..batch], panels, bias, self.widths[*x], floor, &mut act[*y]));
+                }
                 Op::Dense { x, y, b, relu, .. } => {
                     let mut out = std::mem::take(&mut ws.act[*y]);
                     product(Product {
@@ -133,7 +140,7 @@ impl Graph {
 
 /// `max(value, floor)`, but NaN stays NaN: `f32::max` would turn it into the floor, and a ReLU would hide it from the loss.
 #[inline(always)]
-fn at_least(value: f32, floor: f32) -> f32 {
+pub(super) fn at_least(value: f32, floor: f32) -> f32 {
     if value < floor { floor } else { value }
 }
 

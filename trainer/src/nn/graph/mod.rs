@@ -10,6 +10,7 @@ use super::params::{Init, ParamLayout};
 
 mod backward;
 mod forward;
+mod lookup;
 mod standardise;
 mod workspace;
 
@@ -25,8 +26,8 @@ pub const STANDARDISE_EPS: f32 = 1e-5;
 
 #[derive(Clone, Debug)]
 pub(super) enum Op {
-    /// `y = x Wᵀ + b`, then ReLU where `relu`.
-    Dense { x: usize, y: usize, w: Range<usize>, b: Range<usize>, relu: bool },
+    /// `y = x Wᵀ + b`, then ReLU where `relu`. With `lookup`, `x` holds the unit vectors of the codes that a quantisation chose.
+    Dense { x: usize, y: usize, w: Range<usize>, b: Range<usize>, relu: bool, lookup: bool },
     /// `y = a ⊙ b`.
     Mul { a: usize, b: usize, y: usize },
     /// `y = (1 + scale) ⊙ x + shift`, then ReLU where `relu`.
@@ -93,7 +94,8 @@ impl Graph {
         assert_eq!(self.widths[x.0], layer.inputs, "dense layer: input width");
         let y = self.slot(layer.outputs, true);
         self.relu[y.0] = relu;
-        self.ops.push(Op::Dense { x: x.0, y: y.0, w: layer.w.clone(), b: layer.b.clone(), relu });
+        let lookup = self.ops.iter().any(|op| matches!(op, Op::Quantise { y, one_hot: true, .. } if *y == x.0));
+        self.ops.push(Op::Dense { x: x.0, y: y.0, w: layer.w.clone(), b: layer.b.clone(), relu, lookup });
         y
     }
 

@@ -14,9 +14,10 @@ impl Graph {
         let mut dense = (0, 0);
         let stats = self.ops.iter().map(|op| match op {
             Op::Standardise { x, .. } => vec![0.0; 4 * self.widths[*x]],
-            Op::Dense { x, y, .. } => {
-                dense.0 = dense.0.max(groups_len(self.widths[*y], batch));
-                dense.1 = dense.1.max(panels_len(batch, self.widths[*x]));
+            Op::Dense { x, y, lookup, .. } => {
+                let (n, k) = (self.widths[*y], self.widths[*x]);
+                dense.0 = dense.0.max(if *lookup { n * k } else { groups_len(n, batch) });
+                dense.1 = dense.1.max(panels_len(batch, k));
                 Vec::new()
             }
             _ => Vec::new(),
