@@ -20,12 +20,21 @@ impl Graph {
         self.backward_parts(weights, std::slice::from_mut(ws), &[0..batch, batch..batch]);
     }
 
+    /// [`backward`](Self::backward) for the gradients of values alone: those of the parameters are not computed. For a graph
+    /// without standardisation.
+    ///
+    /// # Panics
+    /// Where the graph standardises.
+    pub fn backward_values(&self, weights: Weights, ws: &mut Workspace) {
+        self.run_back(weights, ws, 0..self.ops.len(), true);
+    }
+
     /// [`backward`](Self::backward) after [`forward_parts`](Self::forward_parts): every part gets the gradient of its own rows.
     pub fn backward_parts(&self, weights: Weights, parts: &mut [Workspace], rows: &[Range<usize>; parallel::PARTS]) {
         let mut end = self.ops.len();
         for start in self.cuts().rev().skip(1).chain([0]) {
             parallel::each(parts, rows, |ws, _| {
-                self.run_back(weights, ws, start + usize::from(self.is_standardise(start))..end);
+                self.run_back(weights, ws, start + usize::from(self.is_standardise(start))..end, false);
                 if self.is_standardise(start) {
                     self.standardise_sums(ws, start);
                 }
@@ -39,7 +48,8 @@ impl Graph {
         }
     }
 
-    fn run_back(&self, weights: Weights, ws: &mut Workspace, ops: Range<usize>) {
+    /// `frozen` leaves out the gradients of the parameters.
+    fn run_back(&self, weights: Weights, ws: &mut Workspace, ops: Range<usize>, frozen: bool) {
         let batch = ws.batch;
         for i in ops.rev() {
             match &self.ops[i] {
@@ -53,23 +63,18 @@ impl Graph {
                     if *relu && given[*y] == Given::Plain {
                         vectorised(|()| mask_by_sign(&mut dy[..batch * n], &act[*y]), ());
                     }
-                    let rows = &dy[..batch * n];
-                    let [c, bias] =
-                        gradient.get_disjoint_mut([w.clone(), b.clone()]).expect("weights and biases lie apart");
-                    if *lookup {
-                        vectorised(look_up_back, (&codes[..batch], rows, k, left, c, bias));
-                    } else {
-                        vectorised(pack_groups_and_sum, (rows, n, batch, left, bias));
-                        pack_panels(&act[*x][..batch * k], batch, k, right);
-                        product(Product {
-                            m: n,
-                            n: k,
-                            k: batch,
-                            left: Left::Groups(left),
-                            right,
-                            c,
-                            end: Epilogue::Add,
-                        });
+                    if !frozen {
+                        let rows = &dy[..batch * n];
+                        let [c, bias] =
+                            gradient.get_disjoint_mut([w.clone(), b.clone()]).expect("weights and biases lie apart");
+                        if *lookup {
+                            vectorised(look_up_back, (&codes[..batch], rows, k, left, c, bias));
+                        } else {
+                            vectorised(pack_groups_and_sum, (rows, n, batch, left, bias));
+                            pack_panels(&act[*x][..batch * k], batch, k, right);
+                            let left = Left::Groups(left);
+                            product(Product { m: n, n: k, k: batch, left, right, c, end: Epilogue::Add });
+                        }
                     }
                     if self.needs_grad[*x] {
                         let add = given[*x] != Given::Nothing;

@@ -86,6 +86,11 @@ impl Graph {
         self.slot(width, false)
     }
 
+    /// An input whose gradient is computed too, for a loss that another network carries on (actor and critic).
+    pub fn input_with_gradient(&mut self, width: usize) -> Slot {
+        self.slot(width, true)
+    }
+
     /// A dense layer, with ReLU where `relu`.
     ///
     /// # Panics
