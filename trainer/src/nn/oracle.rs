@@ -72,11 +72,7 @@ mod tests {
     /// A graph with every kind of layer; returns it with its inputs and its output.
     fn everything(
         layout: &mut ParamLayout,
-        obs: usize,
-        act: usize,
-        h: usize,
-        d: usize,
-        k: usize,
+        [obs, act, h, d, k]: [usize; 5],
         standardise: bool,
         one_hot: bool,
     ) -> (Graph, [Slot; 2], Slot) {
@@ -105,7 +101,7 @@ mod tests {
         let mut rng = SeedTree::new(seed).stream("test");
         let mut layout = ParamLayout::new();
         let one_hot = d >= k && seed.is_multiple_of(2);
-        let (graph, [so, sa], out) = everything(&mut layout, obs, act, h, d, k, batch >= 12 && h >= 8, one_hot);
+        let (graph, [so, sa], out) = everything(&mut layout, [obs, act, h, d, k], batch >= 12 && h >= 8, one_hot);
         let mut params = Params::init(layout, &mut rng).unwrap();
         let n = params.layout().trainable_len();
         let (mut ws, mut packed) = (graph.workspace(batch + 3, n), graph.packed());

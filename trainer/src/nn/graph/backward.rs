@@ -68,7 +68,7 @@ impl Graph {
                         let [c, bias] =
                             gradient.get_disjoint_mut([w.clone(), b.clone()]).expect("weights and biases lie apart");
                         if *lookup {
-                            vectorised(look_up_back, (&codes[..batch], rows, k, left, c, bias));
+                            vectorised(|()| look_up_back(&codes[..batch], rows, k, left, c, bias), ());
                         } else {
                             vectorised(pack_groups_and_sum, (rows, n, batch, left, bias));
                             pack_panels(&act[*x][..batch * k], batch, k, right);

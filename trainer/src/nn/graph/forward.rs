@@ -57,7 +57,8 @@ impl Graph {
                     let floor = if *relu { 0.0 } else { f32::NEG_INFINITY };
                     let (bias, panels) = (&params[b.clone()], weights.packed.ops[i].0.as_slice());
                     let Workspace { act, codes, .. } = ws;
-                    vectorised(look_up, (&codes[..batch], panels, bias, self.widths[*x], floor, &mut act[*y]));
+                    let (codes, depth, out) = (&codes[..batch], self.widths[*x], &mut act[*y]);
+                    vectorised(|()| look_up(codes, panels, bias, depth, floor, out), ());
                 }
                 Op::Dense { x, y, b, relu, .. } => {
                     let mut out = std::mem::take(&mut ws.act[*y]);

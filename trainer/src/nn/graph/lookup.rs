@@ -6,7 +6,7 @@ use super::forward::at_least;
 
 /// `out = W[:, code] + bias` for each row, with a floor. `panels` is Wᵀ (`depth x n`) in panels of its columns.
 #[inline(always)]
-pub(super) fn look_up((codes, panels, bias, depth, floor, out): (&[u32], &[f32], &[f32], usize, f32, &mut [f32])) {
+pub(super) fn look_up(codes: &[u32], panels: &[f32], bias: &[f32], depth: usize, floor: f32, out: &mut [f32]) {
     let n = bias.len();
     for (&code, out) in codes.iter().zip(out.chunks_exact_mut(n)) {
         let rows = panels.chunks_exact(PANEL * depth).map(|panel| &panel[code as usize * PANEL..][..PANEL]);
@@ -22,7 +22,12 @@ pub(super) fn look_up((codes, panels, bias, depth, floor, out): (&[u32], &[f32],
 /// `depth x n` numbers.
 #[inline(always)]
 pub(super) fn look_up_back(
-    (codes, dy, depth, work, gradient, bias): (&[u32], &[f32], usize, &mut [f32], &mut [f32], &mut [f32]),
+    codes: &[u32],
+    dy: &[f32],
+    depth: usize,
+    work: &mut [f32],
+    gradient: &mut [f32],
+    bias: &mut [f32],
 ) {
     let n = bias.len();
     let work = &mut work[..depth * n];
