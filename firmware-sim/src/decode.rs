@@ -86,7 +86,7 @@ impl Decoder {
     }
 
     fn signals(&self, frame: &Frame, function: Function, node: u8) -> Result<Value, String> {
-        let short = || "too short, or an unknown command".to_owned();
+        let short = || "not the kind or length of this message, or an unknown command".to_owned();
         let said = |e: FrameError| e.to_string();
         let layout = self.layouts.get(usize::from(node.max(1)) - 1).ok_or_else(short)?;
         Ok(match function {

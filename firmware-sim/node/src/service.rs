@@ -13,13 +13,17 @@ fn make(function: Function, node: u8, payload: &[u8]) -> Frame {
     identifier(function, node, 0).and_then(|id| Frame::classic(standard(id), payload)).unwrap_or(Frame::empty())
 }
 
-/// The first `N` payload bytes of a data frame of that function, and the node number of its identifier.
-fn read<const N: usize>(frame: &Frame, function: Function) -> Option<(u8, [u8; N])> {
+/// The node number in the identifier of a data frame of that function, and its payload.
+fn data(frame: &Frame, function: Function) -> Option<(u8, &[u8])> {
     let found = address(frame.standard_id()?)?;
-    if found.message.function != function || frame.kind() == Kind::Remote {
-        return None;
-    }
-    Some((found.node, *frame.payload().first_chunk()?))
+    (found.message.function == function && frame.kind() != Kind::Remote).then(|| (found.node, frame.payload()))
+}
+
+/// The same of a classic frame of exactly `N` bytes. Kind and length are all that tells a frame of another function, whose
+/// identifier was damaged on its way, from one of these.
+fn read<const N: usize>(frame: &Frame, function: Function) -> Option<(u8, [u8; N])> {
+    let (node, payload) = data(frame, function).filter(|_| frame.kind() == Kind::Classic)?;
+    Some((node, payload.try_into().ok()?))
 }
 
 /// What MODE asks for. The numbers are those of CANopen's NMT.
@@ -262,9 +266,10 @@ impl Request {
     /// From a frame; `None` where it is something else. Without a value it is zero.
     #[must_use]
     pub fn parse(frame: &Frame) -> Option<Self> {
-        let (node, [op, page, a, b]) = read(frame, Function::Request)?;
-        let value = frame.payload().get(4..).and_then(|rest| rest.first_chunk()).map_or(0, |v| u32::from_le_bytes(*v));
-        Some(Self { node, op, page, tag: u16::from_le_bytes([a, b]), value })
+        let short = |(node, [op, page, a, b]): (u8, [u8; 4])| (node, [op, page, a, b, 0, 0, 0, 0]);
+        let (node, [op, page, t0, t1, a, b, c, d]) =
+            read(frame, Function::Request).or_else(|| read(frame, Function::Request).map(short))?;
+        Some(Self { node, op, page, tag: u16::from_le_bytes([t0, t1]), value: u32::from_le_bytes([a, b, c, d]) })
     }
 }
 
@@ -325,8 +330,9 @@ impl TransferData {
     /// From a frame; `None` where it is something else or empty.
     #[must_use]
     pub fn parse(frame: &Frame) -> Option<Self> {
-        let (node, [index]) = read(frame, Function::Transfer)?;
-        Some(Self::new(node, index, frame.payload().get(1..)?, true))
+        let (node, payload) = data(frame, Function::Transfer)?;
+        let (index, bytes) = payload.split_first()?;
+        Some(Self::new(node, *index, bytes, true))
     }
 }
 
@@ -410,6 +416,9 @@ mod tests {
     #[test]
     fn short_foreign_and_unknown_frames_are_refused() {
         assert_eq!(Tick::parse(&Frame::classic(standard(0x080), &[0; 7]).unwrap()), None);
+        assert_eq!(Tick::parse(&Frame::fd(standard(0x080), &[0; 8], true).unwrap()), None);
+        assert_eq!(Mode::parse(&Frame::classic(standard(0x000), &[1, 0, 0, 0, 0, 0, 0, 0]).unwrap()), None);
+        assert_eq!(Request::parse(&Frame::classic(standard(0x601), &[1, 0, 0, 0, 0]).unwrap()), None);
         assert_eq!(Mode::parse(&Frame::classic(standard(0x000), &[77, 0]).unwrap()), None);
         assert_eq!(Mode::parse(&Tick { tick: 0, time_us: 0 }.frame()), None);
         assert_eq!(Mode::parse(&Frame::classic(crate::frame::extended(0), &[1, 0]).unwrap()), None);

@@ -3,9 +3,10 @@
 
 mod support;
 
+use gadm_node::frame::standard;
 use gadm_node::protocol::NO_LATENT;
 use gadm_node::service::{Heartbeat, Mode, ModeCommand, OP_READ, OP_REFUSED, Page, Reply, Request, Tick};
-use gadm_node::{Fault, Flags, NodeConfig, Profile, State, TimeSource};
+use gadm_node::{Fault, Flags, Frame, NodeConfig, Profile, State, TimeSource};
 use support::{GOOD, Rig, SAFE, T, leak, policy_bytes};
 
 const INVALID: [f32; 5] = [0.0, f32::INFINITY, 0.0, 0.0, 0.0];
@@ -265,6 +266,42 @@ fn torn_late_duplicate_and_early_parts() {
     assert_eq!(rig.acts.len(), n + 2);
     assert_eq!(rig.last().header.seq, rig.profile.seq(rig.tick));
     assert_eq!(rig.status.state, State::Run);
+}
+
+/// Found by a campaign: 0x180 and 0x080 differ in one bit. Taken as a TICK, an observation moved the node by 50 million
+/// periods, and it left control at once.
+#[test]
+fn an_observation_with_a_damaged_identifier_is_no_tick() {
+    for rig in rigs() {
+        let mut rig = rig.running();
+        let before = rig.status.counters;
+        // A third within a second would be too many damaged frames.
+        for _ in 0..2 {
+            rig.now += T;
+            rig.tick += 1;
+            rig.push_tick(rig.tick);
+            for (i, frame) in rig.observation(rig.tick, &GOOD).into_iter().enumerate() {
+                let id = standard(0x080 + i as u16);
+                let wrong = match rig.profile {
+                    Profile::FdF32 => Frame::fd(id, frame.payload(), true),
+                    Profile::ClassicI16 => Frame::classic(id, frame.payload()),
+                };
+                rig.push(if i == 0 { wrong.unwrap() } else { frame });
+            }
+            rig.poll();
+            rig.steps(4);
+            let counters = rig.status.counters;
+            assert_eq!((rig.status.state, rig.status.fault), (State::Run, Fault::None), "{counters:?}");
+            assert_eq!(counters.acted + counters.missed, rig.tick, "every period has its answer");
+        }
+        let counters = rig.status.counters;
+        assert_eq!(counters.missed, before.missed + 2, "its period had no observation");
+        let told = match rig.profile {
+            Profile::FdF32 => (before.crc_errors + 2, before.sequence),
+            Profile::ClassicI16 => (before.crc_errors, before.sequence + 2),
+        };
+        assert_eq!((counters.crc_errors, counters.sequence), told);
+    }
 }
 
 #[test]

@@ -34,6 +34,8 @@ impl<'p, L: Link, S: Store<'p>> ControlNode<'p, L, S> {
             Function::Tick => {
                 if let Some(tick) = Tick::parse(frame) {
                     self.on_tick(tick);
+                } else {
+                    self.drop_damaged();
                 }
             }
             Function::Observation => self.on_observation(frame),
@@ -58,7 +60,7 @@ impl<'p, L: Link, S: Store<'p>> ControlNode<'p, L, S> {
 
     pub(super) fn on_tick(&mut self, t: Tick) {
         let mut ahead = self.tick.map_or(1, |last| t.tick.wrapping_sub(last));
-        if ahead == 0 || ahead > u32::MAX / 2 {
+        if ahead == 0 || ahead > u32::MAX / 2 || self.is_wild(ahead, t.time_us) {
             increment(&mut self.counters.sequence);
             self.stale_ticks = self.stale_ticks.saturating_add(1);
             if self.state == State::Run && self.stale_ticks >= STALE_LIMIT {
@@ -116,15 +118,25 @@ impl<'p, L: Link, S: Store<'p>> ControlNode<'p, L, S> {
         self.judge();
     }
 
+    /// In control, a tick that leaps ahead to a time that is not its own. A TICK has no CRC: an observation whose identifier
+    /// was damaged can look like one.
+    fn is_wild(&self, ahead: u32, time_us: u32) -> bool {
+        let due = u64::from(ahead) * u64::from(self.period_us());
+        let passed = u64::from(time_us.wrapping_sub(self.tick_time_us));
+        self.state == State::Run && ahead > STALE_LIMIT && passed.abs_diff(due) > due / 2
+    }
+
+    /// Counts a frame that cannot be what its identifier says.
+    fn drop_damaged(&mut self) {
+        increment(&mut self.counters.crc_errors);
+        self.crc.count(self.now_us, false);
+    }
+
     pub(super) fn on_observation(&mut self, frame: &Frame) {
         let Some(layout) = &self.layout else { return };
         let part = match layout.observation_part(frame) {
             Err(FrameError::Foreign) => return,
-            Err(_) => {
-                increment(&mut self.counters.crc_errors);
-                self.crc.count(self.now_us, false);
-                return;
-            }
+            Err(_) => return self.drop_damaged(),
             Ok(part) => part,
         };
         self.crc.count(self.now_us, true);
