@@ -12,7 +12,7 @@
 //! Between barriers the node only collects, so that it never acts on half a set, and its frames come in the order of a
 //! node in process. The two counts make a lost frame an error instead of a difference.
 
-use gadm_node::protocol::{Function, NodeId, address};
+use gadm_node::protocol::NodeId;
 use gadm_node::service::{OP_REFUSED, Reply, Request};
 use gadm_node::{Frame, Profile};
 
@@ -51,20 +51,23 @@ pub fn parse_reply(frame: &Frame, node: NodeId) -> Option<Reply> {
     Reply::parse(frame).filter(|r| r.node == node.get())
 }
 
-/// Is this frame part of lockstep, and so not of the conversation?
+/// Is this frame part of lockstep, and so not of the conversation? Kind, length and node are looked at too: an observation
+/// may come with the identifier of a reply where identifiers are damaged on purpose.
 #[must_use]
 pub fn is_lockstep(frame: &Frame) -> bool {
-    let Some(to) = frame.standard_id().and_then(address) else { return false };
-    match (to.message.function, frame.payload()) {
-        (Function::Request | Function::Reply, [OP_START | OP_BARRIER, ..]) => true,
-        // A node that knows no lockstep says so.
-        (Function::Reply, [OP_REFUSED, _, _, _, op, 0, 0, 0]) => matches!(*op, OP_START | OP_BARRIER),
-        _ => false,
+    let ours = |node: u8, op: u8| NodeId::new(node).is_some() && matches!(op, OP_START | OP_BARRIER);
+    if let Some(request) = Request::parse(frame) {
+        return ours(request.node, request.op) && request.page == 0 && request.value == 0;
     }
+    // A node that knows no lockstep says so.
+    let refused = |r: Reply| r.op == OP_REFUSED && u8::try_from(r.value).is_ok_and(|op| ours(r.node, op));
+    Reply::parse(frame).is_some_and(|reply| ours(reply.node, reply.op) || refused(reply))
 }
 
 #[cfg(test)]
 mod tests {
+    use gadm_node::frame::standard;
+
     use super::*;
 
     #[test]
@@ -83,6 +86,9 @@ mod tests {
             (reply(OP_REFUSED, u32::from(OP_START)), true),
             (reply(OP_REFUSED, 5), false),
             (Frame::empty(), false),
+            // Parts of observations whose identifier has one wrong bit (0x180 and 0x580).
+            (Frame::fd(standard(0x580), &[OP_BARRIER; 64], true).unwrap(), false),
+            (Frame::classic(standard(0x580), &[OP_BARRIER; 8]).unwrap(), false),
         ] {
             assert_eq!(is_lockstep(&frame), expected, "{frame:?}");
         }

@@ -163,7 +163,8 @@ fn lockstep_session(
                     let done = Reply { node, op: lockstep::OP_BARRIER, page, tag, value };
                     port.bus.send(&done.frame()).map_err(io_error)?;
                 }
-                None if lockstep::is_lockstep(&frame) => {}
+                // Also what belongs to the lockstep of another node: that does not concern this one's control, and what
+                // only looks like it must be counted.
                 None => node.link_mut().put(frame),
             }
         }
