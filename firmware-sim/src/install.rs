@@ -9,7 +9,7 @@ use gadm_node::service::{
     Request, TransferData,
 };
 use gadm_node::store::Refusal;
-use gadm_node::transfer::{BLOCK, checksum};
+use gadm_node::transfer::{BLOCK, checksum, image_checksum};
 use gadm_node::{Frame, LinkError};
 use gadm_runtime::Policy;
 use gadm_runtime::encode::AlignedImage;
@@ -21,7 +21,7 @@ use crate::bus::stream::{deadline, left};
 /// How long a node may take for an answer. Erasing a slot takes the longest.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// How often a block is sent that comes damaged.
+/// How often a block is sent that comes damaged, or to a node that lost its thread.
 const ATTEMPTS: u32 = 3;
 
 /// How to bring a policy to a node.
@@ -65,27 +65,23 @@ pub fn install(
     };
     let mut talk = Talk { bus, name, node: options.node, tag: std::process::id() as u16 };
     let bytes = image.len() as u32;
-    talk.ask(OP_LENGTH, 0, bytes)?;
-    let resumed_at = talk.ask(OP_BEGIN, u8::from(options.anew), checksum(image))?;
+    let begin = |talk: &mut Talk, anew: bool| {
+        talk.ask(OP_LENGTH, 0, bytes)?;
+        talk.ask(OP_BEGIN, u8::from(anew), image_checksum(image))
+    };
+    let resumed_at = begin(&mut talk, options.anew)?;
     let mut offset = resumed_at;
     let mut attempts = ATTEMPTS;
     progress(offset);
     while offset < bytes {
         let rest = image.get(offset as usize..).unwrap_or(&[]);
         let block = rest.get(..BLOCK).unwrap_or(rest);
-        talk.ask(OP_BLOCK, 0, offset)?;
-        let mut sent = 0;
-        let mut index: u8 = 0;
-        while sent < block.len() {
-            let data = TransferData::new(options.node.get(), index, &block[sent..], options.fd);
-            talk.send(&data.frame())?;
-            sent += data.len();
-            index = index.wrapping_add(1);
-        }
-        match talk.request(OP_COMMIT, 0, checksum(block))? {
+        match talk.block(offset, block, options.fd)? {
             Ok(next) => (offset, attempts) = (next, ATTEMPTS),
-            Err(Refusal::BlockCrc) if attempts > 1 => attempts -= 1,
-            Err(refusal) => return Err(talk.refused(OP_COMMIT, refusal)),
+            Err((_, Refusal::BlockCrc)) if attempts > 1 => attempts -= 1,
+            // Its watchdog restarted it, say. What was written is there still.
+            Err((_, Refusal::Order)) if attempts > 1 => (offset, attempts) = (begin(&mut talk, false)?, attempts - 1),
+            Err((op, refusal)) => return Err(talk.refused(op, refusal)),
         }
         progress(offset);
     }
@@ -130,6 +126,22 @@ impl Talk<'_> {
 
     fn send(&mut self, frame: &Frame) -> Result<(), SimError> {
         self.bus.send(frame).map_err(|e| self.failed(e.to_string()))
+    }
+
+    /// Sends a block. The offset of the next one, or which operation was refused and why.
+    fn block(&mut self, offset: u32, block: &[u8], fd: bool) -> Result<Result<u32, (u8, Refusal)>, SimError> {
+        if let Err(refusal) = self.request(OP_BLOCK, 0, offset)? {
+            return Ok(Err((OP_BLOCK, refusal)));
+        }
+        let mut sent = 0;
+        let mut index: u8 = 0;
+        while sent < block.len() {
+            let data = TransferData::new(self.node.get(), index, &block[sent..], fd);
+            self.send(&data.frame())?;
+            sent += data.len();
+            index = index.wrapping_add(1);
+        }
+        Ok(self.request(OP_COMMIT, 0, checksum(block))?.map_err(|refusal| (OP_COMMIT, refusal)))
     }
 
     fn ask(&mut self, op: u8, page: u8, value: u32) -> Result<u32, SimError> {

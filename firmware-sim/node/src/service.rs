@@ -213,7 +213,7 @@ impl HostHeartbeat {
 pub const OP_READ: u8 = 1;
 /// Operation: announce the length of a policy image, bytes.
 pub const OP_LENGTH: u8 = 2;
-/// Operation: announce its CRC-32 and begin, or go on with, its transfer; page 1 starts over.
+/// Operation: announce its CRC-32C and begin, or go on with, its transfer; page 1 starts over.
 pub const OP_BEGIN: u8 = 3;
 /// Operation: a block begins at the offset in `value`.
 pub const OP_BLOCK: u8 = 4;

@@ -4,7 +4,7 @@
 //!
 //! | unit | mark | written |
 //! | --- | --- | --- |
-//! | 0 | record: generation, length and CRC-32 of the image to come, CRC-32 over these | after the erasure, before the first block |
+//! | 0 | record: generation, length and CRC-32C of the image to come, CRC-32 over these | after the erasure, before the first block |
 //! | 1 | staged | when the whole image was received and checked |
 //! | 2 | trial | when it is to be booted for the first time |
 //! | 3 | confirmed | when it proved itself |
@@ -25,7 +25,7 @@ use strum::{FromRepr, IntoStaticStr, VariantArray};
 
 use crate::coded::coded;
 use crate::store::{Candidate, Operation, Refusal, Store};
-use crate::transfer::{Resume, Transfer};
+use crate::transfer::{Resume, Transfer, image_checksum};
 
 pub(crate) const CRC32: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
@@ -385,7 +385,7 @@ impl<F> Slots<F> {
     {
         let (target, len, crc) = self.transfer.received()?;
         let image = self.flash.image(target).get(..len).ok_or(Refusal::Length)?;
-        if CRC32.checksum(image) != crc {
+        if image_checksum(image) != crc {
             return Err(Refusal::ImageCrc);
         }
         check(image)?;

@@ -80,7 +80,7 @@ impl Refusal {
 pub enum Operation {
     /// Length of the image, bytes. Answer: the most that a slot holds.
     Length(u32),
-    /// CRC-32/ISO-HDLC of the image, and whether to start over. Answer: the offset at which to go on.
+    /// CRC-32C of the image, and whether to start over. Answer: the offset at which to go on.
     Begin(u32, bool),
     /// A block begins at this offset; its bytes come in TRANSFER frames. Answer: the offset.
     Block(u32),

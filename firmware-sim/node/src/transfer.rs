@@ -9,17 +9,32 @@
 //! [`BLOCK`] bytes (the last may be shorter) and is written only when all of it came and its CRC is right. After a loss of
 //! power, BEGIN with the same length and CRC finds the blocks that were written and answers the offset to go on from.
 
+use crc::{CRC_32_ISCSI, Crc, NoTable};
+
 use crate::slots::{CRC32, UNIT};
 use crate::store::Refusal;
 
 /// Bytes of a block.
 pub const BLOCK: usize = 256;
 
-/// CRC-32/ISO-HDLC, as BEGIN and COMMIT carry it.
+/// CRC-32/ISO-HDLC of a block, as COMMIT carries it.
 #[must_use]
 pub fn checksum(bytes: &[u8]) -> u32 {
     CRC32.checksum(bytes)
 }
+
+/// CRC-32C (iSCSI) of a whole image, as BEGIN carries it.
+///
+/// That of the blocks would not do: the header of an image ends in its own CRC-32/ISO-HDLC, and data followed by their CRC
+/// leave the same remainder whatever they are. Images that differ in the header only, in the sequence number say, would be
+/// one and the same.
+#[must_use]
+pub fn image_checksum(image: &[u8]) -> u32 {
+    CRC32C.checksum(image)
+}
+
+/// Without a table: it runs over an image twice, at its announcement and at its end.
+const CRC32C: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISCSI);
 
 /// Where to go on.
 #[derive(Clone, Copy, Debug)]

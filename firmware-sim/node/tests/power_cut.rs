@@ -13,7 +13,7 @@ use gadm_node::service::{
 };
 use gadm_node::slots::{Flash, FlashError, MARKS_LEN, SlotState, Slots, TRIAL_US};
 use gadm_node::store::Refusal;
-use gadm_node::transfer::BLOCK;
+use gadm_node::transfer::{BLOCK, image_checksum};
 use gadm_node::{ControlNode, Fault, NodeConfig, NodeStatus, State, TimeSource};
 use gadm_runtime::Policy;
 use support::{T, TestLink, Wire, leak, policy_version};
@@ -218,7 +218,7 @@ impl Board {
     fn transfer(&mut self, image: &[u8]) -> Option<Result<u32, Refusal>> {
         let len = image.len() as u32;
         let begin = match self.do_(OP_LENGTH, len)? {
-            Ok(_) => self.do_(OP_BEGIN, crc(image))?,
+            Ok(_) => self.do_(OP_BEGIN, image_checksum(image))?,
             refused => refused,
         };
         let from = match begin {
@@ -260,6 +260,17 @@ fn payload_crc(image: &[u8]) -> u32 {
 
 fn version(n: u32) -> Vec<u8> {
     policy_version(T as u32, n, 1.0 - n as f32 * 0.125)
+}
+
+/// A policy that was refused as too old is exported again with a higher sequence number, and nothing else changes.
+#[test]
+fn images_that_differ_in_the_header_only_are_not_taken_for_each_other() {
+    let with_sequence = |n| policy_version(T as u32, n, 0.25);
+    let flash = Model::flashed(&with_sequence(5));
+    let mut board = Board::power_on(&flash);
+    assert_eq!(crc(&with_sequence(4)), crc(&with_sequence(6)), "the header's own CRC hides what is before it");
+    assert_eq!(board.transfer(&with_sequence(4)).unwrap(), Err(Refusal::Older));
+    assert_eq!(board.transfer(&with_sequence(6)).unwrap(), Ok(0), "from its beginning");
 }
 
 /// Cuts the power after every written word of an installation of `new` on `slots`, where `old` runs.
