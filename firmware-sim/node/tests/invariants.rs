@@ -26,6 +26,8 @@ enum Op {
     Torn,
     /// A wrong bit in every part.
     Damaged,
+    /// A wrong bit in the identifier of the first part: it may look like a frame of another function.
+    Misled(u16),
     /// The set of the previous period once more.
     Replay,
     /// Any tick number.
@@ -56,6 +58,7 @@ fn op() -> impl Strategy<Value = Op> {
         2 => Just(Op::Early),
         2 => Just(Op::Torn),
         2 => Just(Op::Damaged),
+        2 => (0_u16..11).prop_map(Op::Misled),
         2 => Just(Op::Replay),
         1 => (any::<u32>(), any::<u32>()).prop_map(|(a, b)| Op::AnyTick(a, b)),
         1 => (1_u32..5).prop_map(Op::Skip),
@@ -101,6 +104,20 @@ fn apply(rig: &mut Rig, op: &Op) {
             for mut f in rig.observation(rig.tick, &GOOD) {
                 f.payload_mut()[3] ^= 0x10;
                 rig.push(f);
+            }
+            rig.poll();
+        }
+        Op::Misled(bit) => {
+            begin(rig);
+            let parts = rig.observation(rig.tick, &GOOD);
+            let id = standard(parts[0].standard_id().unwrap() ^ 1 << bit);
+            let first = match rig.profile {
+                Profile::FdF32 => Frame::fd(id, parts[0].payload(), true),
+                Profile::ClassicI16 => Frame::classic(id, parts[0].payload()),
+            };
+            rig.push(first.unwrap());
+            for f in &parts[1..] {
+                rig.push(*f);
             }
             rig.poll();
         }
@@ -259,12 +276,14 @@ fn check(profile: Profile, time: TimeSource, ops: &[Op]) -> Result<(), TestCaseE
                 prop_assert!(a >= b, "a counter went back: {c:?} after {b:?}");
             }
             prop_assert!(c.held <= c.missed, "what is held was missed: {c:?}");
+            prop_assert!(c.missed - b.missed < 100_000, "believed a leap of {} periods", c.missed - b.missed);
         }
         if now.state != State::Run || before.state != State::Run || c.acted > b.acted || !clock {
             alive_us = rig.now;
         }
-        let ticks =
-            matches!(op, Op::Period | Op::Silent | Op::Invalid | Op::Early | Op::Torn | Op::Damaged | Op::AnyTick(..));
+        let period =
+            matches!(op, Op::Period | Op::Silent | Op::Invalid | Op::Early | Op::Torn | Op::Damaged | Op::Misled(_));
+        let ticks = period || matches!(op, Op::AnyTick(..));
         if matches!(now.state, State::Boot | State::SelfTest) {
             clock = time == TimeSource::Local;
         } else {
@@ -275,8 +294,7 @@ fn check(profile: Profile, time: TimeSource, ops: &[Op]) -> Result<(), TestCaseE
             prop_assert!(silent <= 3 * T + T / 5, "in control {silent} us after the last decision");
         }
         // Safe within three periods of any loss: a TICK that the node takes, without a decision, is a period lost.
-        let ticked = matches!(op, Op::Period | Op::Silent | Op::Invalid | Op::Early | Op::Torn | Op::Damaged)
-            && c.sequence == b.sequence;
+        let ticked = period && c.sequence == b.sequence;
         if now.state != State::Run || before.state != State::Run || c.acted > b.acted {
             since_good = 0;
         } else if ticked && !rig.wire.borrow().off {
