@@ -202,6 +202,7 @@ INIT = """#!/bin/sh
 mount -t proc proc /proc; mount -t sysfs sysfs /sys; mount -t devtmpfs devtmpfs /dev; mount -t tmpfs tmpfs /tmp
 for module in $modules; do insmod /modules/$module.ko || echo "FAILED: insmod $module"; done
 for share in $shares; do
+    mkdir -p ${share#*:}
     mount -t 9p -o trans=virtio,version=9p2000.L,ro,cache=loose,msize=524288 ${share%%:*} ${share#*:} || echo "FAILED: mount $share"
 done
 ip link set up lo
