@@ -38,6 +38,9 @@ pub enum Command {
     },
     /// Memory of a full replay buffer, and how fast it is sampled
     Replay {
+        /// Buffer to fill [default: each in turn; memory that the one before gave back is then counted again]
+        #[arg(long, value_parser = replay::SHAPES.map(|s| s.name), value_name = "NAME")]
+        case: Option<String>,
         /// Transitions
         #[arg(long, default_value_t = 1_000_000, value_name = "N")]
         transitions: usize,
@@ -124,9 +127,10 @@ pub fn main(command: &Command) -> anyhow::Result<ExitCode> {
             let timing = env::step(id, *envs, usize::from(common.threads), common.seconds)?;
             timings(&[timing], common)?;
         }
-        Command::Replay { transitions, common } => {
+        Command::Replay { case, transitions, common } => {
             common.check()?;
-            let all: Vec<_> = replay::SHAPES.iter().map(|s| replay::fill(s, *transitions, common.seconds)).collect();
+            let asked = replay::SHAPES.iter().filter(|s| case.as_deref().is_none_or(|case| case == s.name));
+            let all: Vec<_> = asked.map(|s| replay::fill(s, *transitions, common.seconds)).collect();
             if common.json {
                 print_json(&json!({ "version": 1, "machine": machine(), "replays": all }))?;
             } else {
