@@ -1,8 +1,9 @@
 //! Argmax over the allowed latents; ties go to the lowest.
 
 use crate::mask::LatentMask;
+use core::hint::select_unpredictable;
 
-/// The largest value so far and where it is. Four values a turn of the loops below: on a Cortex-M a turn costs as much as
+/// The largest value so far and where it is. Four values a turn of two loops below: on a Cortex-M a turn costs as much as
 /// half a value.
 #[derive(Clone, Copy)]
 struct Best {
@@ -25,21 +26,11 @@ pub(crate) fn masked_argmax(logits: &[u32], allowed: &LatentMask) -> (u16, i32) 
     let mut first = 0u16;
     for (&bits, logits) in allowed.words().iter().zip(logits.chunks(32)) {
         let mut bits = bits;
-        let mut take = |word: u32, index: u16| {
-            let value = if bits & 1 == 1 { word.cast_signed() } else { i32::MIN };
+        for &word in logits {
+            // The time must not depend on the set.
+            best.take(select_unpredictable(bits & 1 == 1, word.cast_signed(), i32::MIN), first);
             bits >>= 1;
-            best.take(value, index);
-        };
-        let (fours, rest) = logits.as_chunks::<4>();
-        for &[a, b, c, d] in fours {
-            take(a, first);
-            take(b, first.wrapping_add(1));
-            take(c, first.wrapping_add(2));
-            take(d, first.wrapping_add(3));
-            first = first.wrapping_add(4);
-        }
-        for (&word, index) in rest.iter().zip(first..) {
-            take(word, index);
+            first = first.wrapping_add(1);
         }
     }
     (best.index, best.value)

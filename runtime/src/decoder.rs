@@ -2,7 +2,7 @@
 
 use crate::argmax::{largest, top};
 use crate::interface::{ACTION_LEN, action_head};
-use crate::kernels::{ONE, exp2_below, exp2_neg};
+use crate::kernels::{ONE, exp2_below};
 use crate::net::{
     ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, ENCODING_TYPES, HEAD_LEN, SNAP_ANY, SNAP_EDGES,
 };
@@ -36,7 +36,10 @@ pub(crate) fn emit_heads(
 
 /// `tanh` of a logit: `(1 - e) / (1 + e)` with `e = exp(-2 |l|)`, the exponential in fixed point and one division.
 fn tanh(logit: i32, frac_bits: u32) -> f32 {
-    let e = exp2_neg(logit.unsigned_abs().wrapping_mul(2), frac_bits);
+    // The logit is below 2^30 in magnitude.
+    let mut e = [0u32.wrapping_sub(logit.unsigned_abs().wrapping_mul(2))];
+    exp2_below(&mut e, 0, frac_bits);
+    let [e] = e;
     signed(u64::from(ONE.wrapping_sub(e)), u64::from(ONE.wrapping_add(e)), logit < 0)
 }
 

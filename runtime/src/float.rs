@@ -7,14 +7,13 @@ use crate::decision::FloatDecision;
 use crate::error::{ActError, LoadError, SelfTestError};
 use crate::fields::f32_at;
 use crate::float_heads::{allowed, argmax, emit_heads};
+use crate::image::Image;
 use crate::interface::{ACTION_LEN, ActionSignal, ObservationSignal, action_head};
-use crate::load::{Image, trailer_records};
-use crate::load_net::{Nets, constants};
+use crate::load::load;
 use crate::mask::LatentMask;
-use crate::net::{Decoder, Layer, Net};
-use crate::policy::spec_of;
+use crate::net::{Decoder, Layer, Net, constants};
 use crate::provenance::Provenance;
-use crate::schema::{Header, PolicySpec, WeightKind};
+use crate::schema::{Header, PolicySpec, Section, WeightKind};
 use crate::scratch::Scratch;
 use crate::self_test::self_test_vectors;
 use crate::sizes::{LayerShape, SectionSizes, layer_shapes};
@@ -31,15 +30,13 @@ const SELF_TEST_TOLERANCE: f32 = 1e-4;
 #[derive(Clone, Copy)]
 pub struct FloatPolicy<'a> {
     image: Image<'a>,
-    nets: Nets<'a>,
-    spec: PolicySpec,
 }
 
 impl core::fmt::Debug for FloatPolicy<'_> {
     /// Dimensions, not weights.
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        let hash = self.image.header.interface_hash;
-        f.debug_struct("FloatPolicy").field("spec", &self.spec).field("interface_hash", &hash).finish_non_exhaustive()
+        let hash = self.interface_hash();
+        f.debug_struct("FloatPolicy").field("spec", self.spec()).field("interface_hash", &hash).finish_non_exhaustive()
     }
 }
 
@@ -57,66 +54,63 @@ impl<'a> FloatPolicy<'a> {
     /// # Errors
     /// [`LoadError`] says what is wrong and where.
     pub fn load(image: &'a [u8]) -> Result<Self, LoadError> {
-        let image = Image::load(image, WeightKind::Float32)?;
-        let nets = Nets::load(&image)?;
-        let spec = spec_of(&image, &nets);
-        Ok(Self { image, nets, spec })
+        load(image, WeightKind::Float32).map(|image| Self { image })
     }
 
     /// Dimensions and needs.
     #[must_use]
     pub fn spec(&self) -> &PolicySpec {
-        &self.spec
+        &self.image.spec
     }
 
     /// The header of the file.
     #[must_use]
-    pub fn header(&self) -> &Header {
-        &self.image.header
+    pub fn header(&self) -> Header {
+        self.image.header()
     }
 
     /// Hash of the interface; see [`Policy::interface_hash`](crate::Policy::interface_hash).
     #[must_use]
     pub fn interface_hash(&self) -> u64 {
-        self.image.header.interface_hash
+        self.image.interface_hash()
     }
 
     /// Observation signals, in order.
     pub fn observation_signals(&self) -> impl Iterator<Item = ObservationSignal<'a>> + Clone + use<'a> {
-        self.image.interface.observation_signals()
+        self.image.interface().observation_signals()
     }
 
     /// Action slots, in order.
     pub fn action_signals(&self) -> impl Iterator<Item = ActionSignal<'a>> + Clone + use<'a> {
-        self.image.interface.action_signals()
+        self.image.interface().action_signals()
     }
 
     /// Where the policy comes from.
     #[must_use]
     pub fn provenance(&self) -> Provenance<'a> {
-        Provenance::decode(self.image.provenance)
+        Provenance::decode(self.image.section(Section::Provenance))
     }
 
     /// Optional records after the payload: kind and content.
     pub fn trailer(&self) -> impl Iterator<Item = (u16, &'a [u8])> + use<'a> {
-        trailer_records(self.image.trailer)
+        self.image.trailer_records()
     }
 
     /// Bytes of each part of the file.
     #[must_use]
     pub fn section_sizes(&self) -> SectionSizes {
-        SectionSizes::of(&self.image, &self.nets.decoder)
+        SectionSizes::of(&self.image)
     }
 
     /// Layers of all networks, in file order.
     pub fn layers(&self) -> impl Iterator<Item = LayerShape> + use<'a> {
-        layer_shapes(&self.nets)
+        layer_shapes(&self.image)
     }
 
     /// Threshold of the mask as a fraction, when the policy has a confidence network.
     #[must_use]
     pub fn mask_threshold(&self) -> Option<(u32, u32)> {
-        self.nets.confidence.as_ref().map(|(_, threshold)| (threshold.num, threshold.den))
+        self.image.threshold().map(|threshold| (threshold.num, threshold.den))
     }
 
     /// One control step: observation in the units of the interface, action in the units of the interface.
@@ -124,7 +118,7 @@ impl<'a> FloatPolicy<'a> {
     /// # Errors
     /// A non-finite or wrong-length observation, or a buffer that is too short. `action` is untouched then.
     pub fn act(&self, obs: &[f32], scratch: &mut Scratch, action: &mut [f32]) -> Result<FloatDecision, ActError> {
-        let (obs_dim, slots) = (usize::from(self.spec.obs_dim), usize::from(self.spec.action_dim));
+        let (obs_dim, slots) = (usize::from(self.image.spec.obs_dim), usize::from(self.image.spec.action_dim));
         if obs.len() != obs_dim {
             return Err(ActError::ObservationLength { expected: obs_dim, found: obs.len() });
         }
@@ -148,14 +142,14 @@ impl<'a> FloatPolicy<'a> {
     /// # Errors
     /// The first difference, or scratch memory that is too short.
     pub fn self_test(&self, scratch: &mut Scratch) -> Result<(), SelfTestError> {
-        let (obs_dim, slots) = (usize::from(self.spec.obs_dim), usize::from(self.spec.action_dim));
-        for (vector, case) in self_test_vectors(self.image.self_tests, obs_dim, slots).enumerate() {
+        let (obs_dim, slots) = (usize::from(self.image.spec.obs_dim), usize::from(self.image.spec.action_dim));
+        for (vector, case) in self_test_vectors(self.image.self_tests(), obs_dim, slots).enumerate() {
             let work = self.divide(scratch)?;
             self.normalise(work.input, case.observation());
             let mut first = None;
             let decision = self.step(work, &mut |slot, found| {
                 let expected = case.action(slot);
-                let tolerance = self.image.interface.actions.get(slot).map_or(0.0, tolerance);
+                let tolerance = self.image.actions().get(slot).map_or(0.0, tolerance);
                 let close = (expected - found).abs() <= tolerance;
                 if !close && first.is_none() {
                     first = Some(SelfTestError::Action { vector, slot, expected, found });
@@ -173,20 +167,20 @@ impl<'a> FloatPolicy<'a> {
 
     /// Divides the scratch memory; the shares are those of `scratch_words_float`.
     fn divide<'m>(&self, scratch: &'m mut Scratch) -> Result<Work<'m>, ActError> {
-        let error = ActError::ScratchLength { expected: self.spec.scratch_words, found: scratch.words() };
-        if scratch.words() < self.spec.scratch_words {
+        let error = ActError::ScratchLength { expected: self.image.spec.scratch_words, found: scratch.words() };
+        if scratch.words() < self.image.spec.scratch_words {
             return Err(error);
         }
         let memory: &'m mut [f32] = bytemuck::cast_slice_mut(scratch.memory);
-        let hidden = self.nets.hidden_width();
-        let (input, rest) = memory.split_at_mut_checked(usize::from(self.spec.obs_dim)).ok_or(error)?;
+        let hidden = usize::from(self.image.hidden_width);
+        let (input, rest) = memory.split_at_mut_checked(usize::from(self.image.spec.obs_dim)).ok_or(error)?;
         let (first, rest) = rest.split_at_mut_checked(hidden).ok_or(error)?;
         let (second, logits) = rest.split_at_mut_checked(hidden).ok_or(error)?;
         Ok(Work { input, first, second, logits })
     }
 
     fn normalise(&self, input: &mut [f32], obs: impl Iterator<Item = f32>) {
-        for ((place, x), record) in input.iter_mut().zip(obs).zip(self.image.input) {
+        for ((place, x), record) in input.iter_mut().zip(obs).zip(self.image.input().1) {
             let (offset, scale) = (f32_at(record, 0).unwrap_or_default(), f32_at(record, 4).unwrap_or_default());
             *place = (x - offset) * scale;
         }
@@ -194,24 +188,25 @@ impl<'a> FloatPolicy<'a> {
 
     fn step(&self, work: Work, sink: &mut dyn FnMut(usize, f32)) -> FloatDecision {
         let Work { input, first, second, logits } = work;
-        let (input, latents) = (&*input, usize::from(self.spec.num_latents));
+        let (input, latents) = (&*input, usize::from(self.image.spec.num_latents));
         let (values, rest) = logits.split_at_mut_checked(latents).unwrap_or_default();
-        run(&self.nets.q, None, input, first, second, values);
-        let (allowed, fallback) = match &self.nets.confidence {
-            None => (LatentMask::full(self.spec.num_latents), false),
-            Some((net, threshold)) => {
+        run(&self.image.net(Section::Q), None, input, first, second, values);
+        let (allowed, fallback) = match self.image.threshold() {
+            None => (LatentMask::full(self.image.spec.num_latents), false),
+            Some(threshold) => {
+                let net = self.image.net(Section::Confidence);
                 let confidence = rest.get_mut(..latents).unwrap_or_default();
-                run(net, None, input, first, second, confidence);
-                allowed(*threshold, confidence)
+                run(&net, None, input, first, second, confidence);
+                allowed(threshold, confidence)
             }
         };
         let candidates = (0u16..).zip(values.iter().copied()).filter(|(latent, _)| allowed.contains(*latent));
         let (latent, q) = argmax(candidates);
-        let actions = self.image.interface.actions;
-        match &self.nets.decoder {
+        let actions = self.image.actions();
+        match self.image.decoder() {
             Decoder::Modulated { net, modulation, heads } => {
                 let out = logits.get_mut(..usize::from(net.outputs())).unwrap_or_default();
-                run(net, Some(latent_table(net, modulation, latent)), input, first, second, out);
+                run(&net, Some(latent_table(&net, modulation, latent)), input, first, second, out);
                 emit_heads(heads, actions, out, sink);
             }
             Decoder::Table { actions: table } => {
@@ -240,7 +235,7 @@ fn floats(bytes: &[u8]) -> &[f32] {
 
 /// Scale and shift of one latent, one after the other.
 fn latent_table<'a>(net: &Net<'a>, modulation: &'a [u8], latent: u16) -> &'a [f32] {
-    let len = net.layers().next().map_or(0, |layer| usize::from(layer.rows)).wrapping_mul(2);
+    let len = usize::from(net.first_rows()).wrapping_mul(2);
     let start = len.wrapping_mul(usize::from(latent));
     floats(modulation).get(start..).and_then(|rest| rest.get(..len)).unwrap_or_default()
 }
@@ -267,16 +262,16 @@ fn run(
     out: &mut [f32],
 ) {
     let (mut from, mut to) = (first, second);
-    let hidden = net.count.saturating_sub(1);
+    let hidden = net.layers.len().saturating_sub(1);
     for (index, layer) in net.layers().enumerate() {
         let x = if index == 0 { input } else { &*from };
         if index == hidden {
-            affine(layer, x, out);
+            affine(&layer, x, out);
             return;
         }
         let rows = usize::from(layer.rows);
         let y = to.get_mut(..rows).unwrap_or_default();
-        affine(layer, x, y);
+        affine(&layer, x, y);
         if let (0, Some((scale, shift))) = (index, modulation.and_then(|table| table.split_at_checked(rows))) {
             for ((y, scale), shift) in y.iter_mut().zip(scale).zip(shift) {
                 *y = scale * *y + shift;

@@ -1,10 +1,9 @@
 //! Mask and heads in `f32`, the counterpart of `mask.rs` and `decoder.rs`.
 
 use crate::interface::{ACTION_LEN, action_head};
-use crate::load_net::Threshold;
 use crate::mask::LatentMask;
 use crate::net::{
-    ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, ENCODING_TYPES, HEAD_LEN, SNAP_ANY, SNAP_EDGES,
+    ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, ENCODING_TYPES, HEAD_LEN, SNAP_ANY, SNAP_EDGES, Threshold,
 };
 
 /// Index and value of the largest of `values`, lowest index on a tie.
@@ -40,7 +39,7 @@ pub(crate) fn allowed(threshold: Threshold, logits: &mut [f32]) -> (LatentMask, 
     }
     let least = logits.iter().copied().fold(f32::INFINITY, |a, b| if b < a { b } else { a });
     if 1.0 - least < 1e-6 * sum {
-        return (LatentMask::full(crate::load::limit(logits.len())), true);
+        return (LatentMask::full(crate::reader::short(logits.len())), true);
     }
     mask.insert(best);
     (mask, true)
@@ -73,7 +72,7 @@ pub(crate) fn emit_heads(
 
 /// Expectation over atoms on -1..=1, or an atom of probability 0.9 or more under the snap rule.
 fn categorical(logits: &mut [f32], snap: u8) -> f32 {
-    let last = crate::load::limit(logits.len().saturating_sub(1));
+    let last = crate::reader::short(logits.len().saturating_sub(1));
     let support = |j: u16| -1.0 + 2.0 * f32::from(j) / f32::from(last);
     let atom = argmax((0u16..).zip(logits.iter().copied())).0;
     let sum = exponentials(logits);

@@ -30,6 +30,7 @@
 extern crate std;
 
 mod argmax;
+mod crc;
 mod decision;
 mod decoder;
 #[cfg(feature = "encode")]
@@ -40,17 +41,18 @@ mod fields;
 mod float;
 #[cfg(feature = "float")]
 mod float_heads;
+mod image;
 mod interface;
 pub mod kernels;
 mod load;
 mod load_net;
 mod mask;
 mod net;
-mod part;
 mod policy;
 mod prove;
 mod provenance;
 pub mod quant;
+mod reader;
 pub mod schema;
 mod scratch;
 mod self_test;

@@ -21,13 +21,17 @@ impl LatentMask {
 
     /// The latents `0..count`; a count beyond [`MAX_LATENTS`] gives all.
     #[must_use]
+    #[inline(never)]
     pub fn full(count: u16) -> Self {
         let mut mask = Self::empty();
         let mut left = u32::from(count);
         for word in &mut mask.bits {
-            // All ones where 32 or more are left, else that many.
-            *word = 1u32.checked_shl(left).map_or(u32::MAX, |bit| bit.wrapping_sub(1));
-            left = left.saturating_sub(32);
+            if left < 32 {
+                *word = (1 << left) - 1;
+                break;
+            }
+            *word = u32::MAX;
+            left = left.wrapping_sub(32);
         }
         mask
     }
@@ -106,19 +110,16 @@ impl MaskRule {
         }
         let fallback = mask.is_empty();
         let equal = u64::from(ONE.wrapping_sub(least)).wrapping_mul(1_000_000) < sum;
-        let mut one = LatentMask::empty();
-        one.insert(most_confident);
-        let all = LatentMask::full(u16::try_from(logits.len()).unwrap_or(u16::MAX));
-        let (if_empty, if_equal) = (all_ones_if(fallback), all_ones_if(equal));
-        for ((word, one), all) in mask.bits.iter_mut().zip(one.bits).zip(all.bits) {
-            *word |= (one | (all & if_equal)) & if_empty;
+        if let Some(word) = mask.bits.get_mut(usize::from(most_confident >> 5)) {
+            *word |= u32::from(fallback) << (most_confident & 31);
+        }
+        let all = u16::try_from(logits.len()).unwrap_or(u16::MAX);
+        let all_ones = 0u32.wrapping_sub(u32::from(fallback & equal));
+        for (word, all) in mask.bits.iter_mut().zip(LatentMask::full(all).bits) {
+            *word |= all & all_ones;
         }
         (mask, fallback)
     }
-}
-
-fn all_ones_if(condition: bool) -> u32 {
-    0u32.wrapping_sub(u32::from(condition))
 }
 
 #[cfg(test)]

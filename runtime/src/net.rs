@@ -1,6 +1,6 @@
 //! Views of networks and decoders in the image.
 
-use crate::schema::MAX_LAYERS;
+use crate::fields::{f32_at, slice_of, u16_at, u32_at};
 
 /// Bytes of the fixed part of a network or decoder section.
 pub(crate) const NET_HEAD: usize = 16;
@@ -22,12 +22,20 @@ pub(crate) const ENCODING_TYPES: u8 = 2;
 pub(crate) const ENCODING_SWITCH: u8 = 3;
 
 /// Codes of the snap rules in a head record.
+#[cfg(any(test, feature = "encode"))]
 pub(crate) const SNAP_NONE: u8 = 0;
 pub(crate) const SNAP_EDGES: u8 = 1;
 pub(crate) const SNAP_ANY: u8 = 2;
 
+/// The threshold of a mask, as a fraction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Threshold {
+    pub(crate) num: u32,
+    pub(crate) den: u32,
+}
+
 /// One dense layer.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Layer<'a> {
     pub(crate) rows: u16,
     pub(crate) cols: u16,
@@ -36,60 +44,57 @@ pub(crate) struct Layer<'a> {
     pub(crate) stream: &'a [u8],
 }
 
-impl Layer<'_> {
-    /// Multiply-accumulate operations, without padding.
-    pub(crate) fn macs(&self) -> u32 {
-        u32::from(self.rows).wrapping_mul(u32::from(self.cols))
-    }
+/// Layers in order; the last one is linear.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Net<'a> {
+    pub(crate) file: &'a [u8],
+    /// Records of the layers.
+    pub(crate) layers: &'a [[u8; LAYER_LEN]],
 }
 
-/// Layers in order; the last one is linear.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Net<'a> {
-    pub(crate) slots: [Layer<'a>; MAX_LAYERS],
-    pub(crate) count: usize,
-    /// Fraction bits of the logits, in log2 units.
-    pub(crate) frac_bits: u32,
-    /// Value of one unit of the logits.
-    pub(crate) scale: f32,
+impl<'a> Layer<'a> {
+    #[inline(always)]
+    fn of(file: &'a [u8], record: &[u8; LAYER_LEN]) -> Self {
+        let half = |at| u16_at(record, at).unwrap_or_default();
+        let word = |at| u32_at(record, at).unwrap_or_default();
+        Self { rows: half(0), cols: half(2), bits: half(4), stream: slice_of(file, word(8), word(12)) }
+    }
 }
 
 impl<'a> Net<'a> {
-    pub(crate) fn layers(&self) -> impl DoubleEndedIterator<Item = &Layer<'a>> + Clone {
-        self.slots.iter().take(self.count)
+    /// A layer, from 0.
+    #[inline(never)]
+    pub(crate) fn layer(&self, index: usize) -> Option<Layer<'a>> {
+        self.layers.get(index).map(|record| Layer::of(self.file, record))
+    }
+
+    pub(crate) fn layers(self) -> impl Iterator<Item = Layer<'a>> + use<'a> {
+        self.layers.iter().map(move |record| Layer::of(self.file, record))
     }
 
     /// Rows of the last layer.
+    #[cfg(feature = "float")]
     pub(crate) fn outputs(&self) -> u16 {
-        self.layers().next_back().map_or(0, |layer| layer.rows)
+        self.layers.last().and_then(|record| u16_at(record, 0)).unwrap_or_default()
     }
 
-    /// Widest hidden layer.
-    pub(crate) fn hidden_width(&self) -> usize {
-        let hidden = self.count.saturating_sub(1);
-        self.layers().take(hidden).map(|layer| usize::from(layer.rows)).max().unwrap_or(0)
-    }
-
-    pub(crate) fn macs(&self) -> u32 {
-        self.layers().fold(0, |sum: u32, layer| sum.wrapping_add(layer.macs()))
+    /// Rows of the first layer.
+    pub(crate) fn first_rows(&self) -> u16 {
+        self.layers.first().and_then(|record| u16_at(record, 0)).unwrap_or_default()
     }
 }
 
+/// The constants of a table decoder for one latent.
+pub(crate) fn constants(table: &[u8], latent: u16, slots: usize) -> impl Iterator<Item = f32> + '_ {
+    let start = usize::from(latent).wrapping_mul(slots).wrapping_mul(4);
+    (0..slots).map(move |slot| f32_at(table, start.wrapping_add(slot.wrapping_mul(4))).unwrap_or_default())
+}
+
 /// From latent and observation to head values.
-#[allow(clippy::large_enum_variant, reason = "no heap to box into; only large on 64-bit targets")]
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Decoder<'a> {
     /// The first layer takes multipliers and offsets from `modulation`, one table per latent.
     Modulated { net: Net<'a>, modulation: &'a [u8], heads: &'a [[u8; HEAD_LEN]] },
     /// One `f32` per slot and latent.
     Table { actions: &'a [u8] },
-}
-
-impl Decoder<'_> {
-    pub(crate) fn macs(&self) -> u32 {
-        match self {
-            Self::Modulated { net, .. } => net.macs(),
-            Self::Table { .. } => 0,
-        }
-    }
 }

@@ -6,236 +6,148 @@
 //! that it does not wrap and differences of logits fit 32 bits.
 #![deny(clippy::arithmetic_side_effects)]
 
-use crate::error::LoadError;
-use crate::fields::i32_at;
+use crate::fields::{i32_at, slice_at};
 use crate::kernels::block_len;
-use crate::net::{Decoder, LINEAR_BITS, Layer, Net};
-use crate::part::Part;
+use crate::net::Layer;
 use crate::quant::input_max;
-use crate::schema::Section;
+use crate::reader::Reader;
+use crate::schema::{Section, padded};
 
 /// Largest magnitude of an accumulator; times 256 in an `a` row.
-pub(crate) const ACC_LIMIT: i64 = (1 << 31) - 1;
+pub(crate) const ACC_LIMIT: u32 = (1 << 31) - 1;
 /// Largest magnitude of an `SMMLAR` result.
-pub(crate) const RESULT_LIMIT: i64 = (1 << 30) - 1;
+pub(crate) const RESULT_LIMIT: u32 = (1 << 30) - 1;
 
 /// Range of a layer's inputs.
 #[derive(Clone, Copy)]
 pub(crate) struct Range {
-    pub(crate) lo: i64,
-    pub(crate) hi: i64,
+    pub(crate) lo: i32,
+    pub(crate) hi: i32,
 }
 
 impl Range {
     /// Quantised observations.
     pub(crate) fn input(bits: u16) -> Self {
-        let hi = i64::from(input_max(bits));
-        Self { lo: hi.saturating_neg().saturating_sub(1), hi }
+        let hi = i32::from(input_max(bits));
+        Self { lo: !hi, hi }
     }
 
     /// Activations of `bits` bits.
     pub(crate) fn activation(bits: u16) -> Self {
-        Self { lo: 0, hi: 1i64.wrapping_shl(u32::from(bits)).saturating_sub(1) }
-    }
-
-    /// Largest magnitude of `start + scale * sum` for weights of these sums by sign. At most 1024 weights of 127 and
-    /// inputs of 12 bits: 64 bits hold everything.
-    fn reach(self, sums: Tally, scale: i64, start: i32) -> i64 {
-        let magnitude = i64::from(sums.magnitude);
-        let sum = i64::from(sums.sum);
-        let (positive, negative) = (magnitude.wrapping_add(sum) >> 1, magnitude.wrapping_sub(sum) >> 1);
-        let end = |up: i64, down: i64| {
-            let total = positive.wrapping_mul(up).wrapping_sub(negative.wrapping_mul(down));
-            total.wrapping_mul(scale).wrapping_add(i64::from(start)).wrapping_abs()
-        };
-        end(self.hi, self.lo).max(end(self.lo, self.hi))
+        Self { lo: 0, hi: 1i32.wrapping_shl(u32::from(bits)).wrapping_sub(1) }
     }
 }
 
-/// All layers of a network.
-pub(crate) fn prove_net(part: &Part<'_>, net: &Net<'_>, input_bits: u16) -> Result<(), LoadError> {
-    prove_layers(part.section, net, None, input_bits)
-}
-
-/// All layers of a decoder, for every latent.
-pub(crate) fn prove_decoder(part: &Part<'_>, decoder: &Decoder<'_>, input_bits: u16) -> Result<(), LoadError> {
-    match decoder {
-        Decoder::Modulated { net, modulation, .. } => prove_layers(part.section, net, Some(modulation), input_bits),
-        Decoder::Table { .. } => Ok(()),
+/// All layers of a file whose shapes have been checked, for every latent.
+#[inline(never)]
+pub(crate) fn prove(reader: &mut Reader<'_>) {
+    if reader.failed() {
+        return;
     }
-}
-
-fn prove_layers(section: Section, net: &Net<'_>, modulation: Option<&[u8]>, input_bits: u16) -> Result<(), LoadError> {
-    let mut range = Range::input(input_bits);
-    let mut modulation = modulation;
-    for (index, layer) in (0u16..).zip(net.layers()) {
-        Proof { section, index, layer, range }.run(modulation.take())?;
-        range = Range::activation(if layer.bits == LINEAR_BITS { 0 } else { layer.bits });
-    }
-    Ok(())
-}
-
-struct Proof<'a> {
-    section: Section,
-    index: u16,
-    layer: &'a Layer<'a>,
-    range: Range,
-}
-
-/// Weights of one row so far; at most 1024 of magnitude 128, so 32 bits hold every sum.
-#[derive(Clone, Copy, Default)]
-struct Tally {
-    sum: i32,
-    magnitude: i32,
-}
-
-impl Tally {
-    #[inline(always)]
-    fn add(&mut self, weight: i32) {
-        self.sum = self.sum.wrapping_add(weight);
-        self.magnitude = self.magnitude.wrapping_add(weight.wrapping_abs());
-    }
-}
-
-/// The two rows of a pair.
-#[derive(Clone, Copy, Default)]
-struct PairTally {
-    a: Tally,
-    b: Tally,
-    /// A weight was outside of -127..=127.
-    outside: bool,
-}
-
-impl PairTally {
-    #[inline(always)]
-    fn add(&mut self, lane: i16) {
-        // The low byte is the `b` weight, sign-extended; what is left is 256 times the `a` weight.
-        let [low, _] = lane.to_le_bytes();
-        let low = i32::from(low.cast_signed());
-        let high = i32::from(lane).wrapping_sub(low) >> 8;
-        self.outside |= low == -128 || high.wrapping_abs() == 128;
-        self.a.add(high);
-        self.b.add(low);
-    }
-}
-
-impl Proof<'_> {
-    fn run(&self, modulation: Option<&[u8]>) -> Result<(), LoadError> {
-        let len = block_len(self.layer.cols, modulation.is_some());
-        let weights_len = usize::from(self.layer.cols).next_multiple_of(16).saturating_mul(4);
-        let mut stream = self.layer.stream;
-        let mut first_row = 0u16;
-        while first_row < self.layer.rows {
-            let Some((block, rest)) = stream.split_at_checked(len) else { break };
-            stream = rest;
-            let weights = block.get(16..).and_then(|rest| rest.get(..weights_len)).unwrap_or_default();
-            let sums = self.weights(first_row, weights)?;
-            let reach = self.accumulators(first_row, block, sums)?;
-            match modulation {
-                None => {
-                    let constants = block.get(weights_len.saturating_add(16)..).unwrap_or_default();
-                    self.results(first_row, reach, constants)?;
-                }
-                Some(table) => {
-                    let latent_len = usize::from(self.layer.rows).next_multiple_of(4).saturating_mul(8);
-                    for latent in table.chunks(latent_len.max(1)) {
-                        let at = usize::from(first_row).saturating_mul(8);
-                        self.results(first_row, reach, latent.get(at..).unwrap_or_default())?;
-                    }
-                }
-            }
-            first_row = first_row.saturating_add(4);
+    let input = Range::input(reader.image.input().0);
+    for section in [Section::Q, Section::Confidence, Section::Decoder] {
+        reader.enter(section);
+        let net = reader.image.net(section);
+        // The first layer of a decoder takes multipliers and offsets from the table of the latents.
+        let at = if section == Section::Decoder { reader.start.wrapping_add(8) } else { usize::MAX };
+        let mut table = slice_at(net.file, at);
+        let mut range = input;
+        reader.layer = 0;
+        while let Some(layer) = net.layer(reader.layer.into()) {
+            rows(reader, &layer, range, table);
+            range = Range::activation(layer.bits);
+            table = &[];
+            reader.layer = reader.layer.wrapping_add(1);
         }
-        Ok(())
     }
+}
 
-    fn padding(&self, row: u16) -> LoadError {
-        LoadError::PaddedWeight { section: self.section, layer: self.index, row }
-    }
-
-    /// Weights in range, padding zero; sums of the four rows.
-    fn weights(&self, first_row: u16, weights: &[u8]) -> Result<[Tally; 4], LoadError> {
-        let mut pairs = [PairTally::default(); 2];
-        let [pair0, pair1] = &mut pairs;
-        let used_words = usize::from(self.layer.cols).div_ceil(2);
-        let words = weights.as_chunks::<8>().0;
-        for &[a, b, c, d, e, f, g, h] in words.iter().take(used_words) {
-            pair0.add(i16::from_le_bytes([a, b]));
-            pair0.add(i16::from_le_bytes([c, d]));
-            pair1.add(i16::from_le_bytes([e, f]));
-            pair1.add(i16::from_le_bytes([g, h]));
+/// One layer; `table` has the multipliers and offsets of a modulated one and is empty for the others.
+#[inline(never)]
+fn rows(reader: &mut Reader<'_>, layer: &Layer<'_>, range: Range, table: &[u8]) {
+    let rows = usize::from(layer.rows);
+    let padded_rows = padded(rows, 4);
+    let constants_at = block_len(layer.cols, true);
+    // Start of the block.
+    let mut block = 0usize;
+    for row in 0..padded_rows {
+        reader.row = row;
+        let place = (row % 4).wrapping_mul(4).wrapping_add(block);
+        // [raw0, b0, raw1, b1] with raw = 256 a + b; 256 A in `a` rows, B in `b` rows.
+        let mut start = word(layer.stream, place);
+        let mut scale = 1;
+        if row.is_multiple_of(2) {
+            start = start.wrapping_sub(word(layer.stream, place.wrapping_add(4)));
+            scale = 256;
         }
-        // An odd number of columns leaves the second lane of the last words unused.
-        let odd_lanes = match words.get(used_words.saturating_sub(1)) {
-            Some(&[_, _, c, d, _, _, g, h]) if self.layer.cols % 2 == 1 => [c, d, g, h],
-            _ => [0; 4],
-        };
-        if odd_lanes != [0; 4] || words.iter().skip(used_words).any(|word| *word != [0; 8]) {
-            return Err(self.padding(first_row));
+        // 0 is between the ends of the sum, so the larger magnitude is one of these.
+        let (up, down) = sums(reader, layer, range, block.wrapping_add(16));
+        let end = |sum: i32| i64::from(sum).wrapping_mul(scale).wrapping_add(i64::from(start));
+        let reach = end(up).max(end(down).wrapping_neg()).cast_unsigned();
+        reader.bound(ACC_LIMIT, reach);
+        let mut used = start;
+        let (mut constants, mut at) = (layer.stream, place.wrapping_add(constants_at));
+        let mut end = at;
+        if !table.is_empty() {
+            (constants, at, end) = (table, (row & !3).wrapping_add(row).wrapping_mul(4), table.len());
         }
-        let second = first_row.saturating_add(2);
-        for (pair, row) in [(*pair0, first_row), (*pair1, second)] {
-            if pair.outside {
-                return Err(LoadError::Weight { section: self.section, layer: self.index, row });
+        loop {
+            let (m, p) = (word(constants, at), word(constants, at.wrapping_add(16)));
+            // Both ends of the range, rounded outwards. The reach is below 2^31, or a fault.
+            let product = (reach & u64::from(u32::MAX)).wrapping_mul(m.unsigned_abs().into()) >> 32;
+            reader.bound(RESULT_LIMIT, product.wrapping_add(1).wrapping_add(p.unsigned_abs().into()));
+            used |= m | p;
+            at = at.wrapping_add(padded_rows.wrapping_mul(8));
+            if at >= end {
+                break;
             }
         }
-        let sums = [pair0.a, pair0.b, pair1.a, pair1.b];
-        let mut row = first_row;
-        for sums in sums {
-            if row >= self.layer.rows && sums.magnitude != 0 {
-                return Err(self.padding(row));
-            }
-            row = row.saturating_add(1);
+        if row >= rows && used != 0 {
+            reader.weight(0);
         }
-        Ok(sums)
-    }
-
-    /// Largest magnitudes of the values that go into `SMMLAR`: 256 A in `a` rows, B in `b` rows.
-    fn accumulators(&self, first_row: u16, block: &[u8], sums: [Tally; 4]) -> Result<[i64; 4], LoadError> {
-        let mut reach = [0; 4];
-        let mut row = first_row;
-        let mut at = 0usize;
-        for (reach, sums) in reach.iter_mut().zip(sums) {
-            // [raw0, b0, raw1, b1] with raw = 256 a + b.
-            let word = i32_at(block, at).unwrap_or_default();
-            let a_row = row.is_multiple_of(2);
-            at = at.saturating_add(4);
-            let start = if a_row { word.wrapping_sub(i32_at(block, at).unwrap_or_default()) } else { word };
-            *reach = self.range.reach(sums, if a_row { 256 } else { 1 }, start);
-            if *reach > ACC_LIMIT {
-                return Err(self.bound(row, ACC_LIMIT, *reach));
-            }
-            if row >= self.layer.rows && start != 0 {
-                return Err(self.padding(row));
-            }
-            row = row.saturating_add(1);
+        if row % 4 == 3 {
+            block = block.wrapping_add(block_len(layer.cols, !table.is_empty()));
         }
-        Ok(reach)
     }
+}
 
-    /// `SMMLAR` results of four rows with `[M x 4] [P x 4]`.
-    fn results(&self, first_row: u16, reach: [i64; 4], constants: &[u8]) -> Result<(), LoadError> {
-        let mut row = first_row;
-        let mut at = 0usize;
-        for reach in reach {
-            let m = i64::from(i32_at(constants, at).unwrap_or_default());
-            let p = i64::from(i32_at(constants, at.saturating_add(16)).unwrap_or_default());
-            if row >= self.layer.rows && (m != 0 || p != 0) {
-                return Err(self.padding(row));
+/// The ends of the sum of the row, whose weights must be in range and whose padding zero; the block's weights start at
+/// `at`. At most 1024 weights of magnitude 128 and inputs of 12 bits: 32 bits hold the sums.
+#[inline(never)]
+fn sums(reader: &mut Reader<'_>, layer: &Layer<'_>, range: Range, at: usize) -> (i32, i32) {
+    // Two columns are two words, one for each pair of rows.
+    let mut at = (reader.row & 2).wrapping_mul(2).wrapping_add(at);
+    let mut left = if reader.row < layer.rows.into() { layer.cols } else { 0 };
+    let (mut sum, mut magnitudes) = (0i32, 0i32);
+    for _ in 0..layer.cols.div_ceil(16).wrapping_mul(8) {
+        let mut lanes = word(layer.stream, at);
+        at = at.wrapping_add(8);
+        for _ in 0..2 {
+            // The low byte is the `b` weight, sign-extended; what is left is 256 times the `a` weight.
+            let [low, high, ..] = lanes.to_le_bytes();
+            lanes >>= 16;
+            let mut weight = i32::from(low.cast_signed());
+            if reader.row.is_multiple_of(2) {
+                weight = i32::from(i16::from_le_bytes([low, high])).wrapping_sub(weight) >> 8;
             }
-            // Both ends of the range, rounded outwards: |acc m| < 2^62.
-            let product = reach.wrapping_mul(m.wrapping_abs()) >> 32;
-            let found = product.wrapping_add(1).wrapping_add(p.wrapping_abs());
-            if found > RESULT_LIMIT {
-                return Err(self.bound(row, RESULT_LIMIT, found));
+            let magnitude = weight.wrapping_abs();
+            let most = if left > 0 { 127 } else { 0 };
+            if magnitude > most {
+                reader.weight(most);
             }
-            row = row.saturating_add(1);
-            at = at.saturating_add(4);
+            left = left.saturating_sub(1);
+            sum = sum.wrapping_add(weight);
+            magnitudes = magnitudes.wrapping_add(magnitude);
         }
-        Ok(())
     }
+    let positive = magnitudes.wrapping_add(sum) >> 1;
+    let negative = magnitudes.wrapping_sub(sum) >> 1;
+    let end = |up: i32, down: i32| positive.wrapping_mul(up).wrapping_sub(negative.wrapping_mul(down));
+    (end(range.hi, range.lo), end(range.lo, range.hi))
+}
 
-    fn bound(&self, row: u16, limit: i64, found: i64) -> LoadError {
-        LoadError::Bound { section: self.section, layer: self.index, row, limit, found }
-    }
+/// A number of a stream; 0 beyond its end, which the check of the shapes excludes.
+#[inline(never)]
+fn word(bytes: &[u8], at: usize) -> i32 {
+    i32_at(bytes, at).unwrap_or_default()
 }

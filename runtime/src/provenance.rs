@@ -1,7 +1,9 @@
 //! Where a policy comes from.
 
 use crate::fields::{f32_at, text_at, u16_at, u32_at, u64_at};
-use crate::load::PROVENANCE_HEAD;
+
+/// Bytes of the fixed part of the section.
+pub(crate) const PROVENANCE_HEAD: usize = 56;
 
 /// Returns measured over a number of episodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -48,15 +48,16 @@ pub fn quantise_input(x: f32, offset: f32, scale: f32, max: i16) -> (i16, bool) 
     // Adding 1.5 * 2^23 leaves the rounded integer in the low mantissa bits: round-half-even without a library call.
     const MAGIC: f32 = 12_582_912.0;
     let (low, high) = (-f32::from(max) - 1.0, f32::from(max));
-    let value = (x - offset) * scale;
+    let wanted = (x - offset) * scale;
     // Without early ends, so that the time does not depend on the value.
-    let (below, above) = (value < low - 0.5, value > high + 0.5);
-    let value = if value < low { low } else { value };
+    let value = if wanted < low { low } else { wanted };
     let value = if value > high { high } else { value };
+    // Near the ends the difference is exact.
+    let clamped = (wanted - value).abs() > 0.5;
     let inside = (value + MAGIC).to_bits().wrapping_sub(MAGIC.to_bits()).cast_signed();
     #[expect(clippy::cast_possible_truncation, reason = "clamped to the range of an i16 above")]
     let quantised = inside as i16;
-    (quantised, below | above)
+    (quantised, clamped)
 }
 
 #[cfg(test)]

@@ -47,6 +47,13 @@ pub const MAX_SELF_TESTS: usize = 64;
 /// Largest denominator of the mask threshold.
 pub const MAX_BETA_DEN: u32 = 1 << 24;
 
+/// `value` rounded up to a multiple of `to`, a power of two: columns are padded to 16, rows to 4, sections to 16 bytes. In
+/// two instructions; 0 within `to` of the largest number, which no size in a file is.
+pub(crate) const fn padded(value: usize, to: usize) -> usize {
+    let most = to.wrapping_sub(1);
+    value.wrapping_add(most) & !most
+}
+
 /// How the weights of a file are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -98,6 +105,11 @@ impl Section {
     /// The sections of the table, in file order.
     pub const IN_TABLE: [Self; 7] =
         [Self::Interface, Self::Input, Self::Q, Self::Confidence, Self::Decoder, Self::SelfTest, Self::Provenance];
+
+    /// Offset of its entry in the table, for the sections in it.
+    pub(crate) const fn entry(self) -> usize {
+        HEADER_LEN + 8 * (self as usize - Self::Interface as usize)
+    }
 
     /// Name for people.
     #[must_use]

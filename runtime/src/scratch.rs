@@ -1,5 +1,7 @@
 //! Work memory that the caller owns.
 
+use crate::schema::padded;
+
 /// Work memory of a step. One scratch serves any number of policies one after the other; nothing is kept between steps.
 ///
 /// The memory is `u32` so that it is 4-byte aligned; its length must be at least
@@ -36,11 +38,11 @@ pub const fn scratch_words(
     confidence: bool,
     head_rows: usize,
 ) -> usize {
-    let input = obs_dim.next_multiple_of(16) / 2;
-    let hidden = hidden_width.next_multiple_of(16) / 2;
-    let latents = num_latents.next_multiple_of(4);
+    let input = padded(obs_dim, 16) / 2;
+    let hidden = padded(hidden_width, 16) / 2;
+    let latents = padded(num_latents, 4);
     let select = if confidence { latents * 2 } else { latents };
-    let head = head_rows.next_multiple_of(4);
+    let head = padded(head_rows, 4);
     input + 2 * hidden + if select > head { select } else { head }
 }
 

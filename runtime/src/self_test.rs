@@ -1,7 +1,11 @@
 //! The self-test vectors of a file.
 
 use crate::fields::{f32_at, u16_at};
-use crate::load::self_test_len;
+
+/// Bytes of one vector.
+fn self_test_len(obs_dim: usize, slots: usize) -> usize {
+    obs_dim.wrapping_add(slots).wrapping_add(1).wrapping_mul(4)
+}
 
 /// One vector: observation, latent and action.
 #[derive(Clone, Copy)]

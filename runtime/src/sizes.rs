@@ -1,8 +1,7 @@
 //! Bytes by part and layer shapes, for inspection.
 
-use crate::load::Image;
-use crate::load_net::Nets;
-use crate::net::{Decoder, Net};
+use crate::image::Image;
+use crate::net::Decoder;
 use crate::schema::{HEADER_LEN, Section, TABLE_LEN};
 
 /// Bytes of each part of a file; `total` is their sum plus `padding`.
@@ -37,25 +36,26 @@ pub struct SectionSizes {
 }
 
 impl SectionSizes {
-    pub(crate) fn of(image: &Image<'_>, decoder: &Decoder<'_>) -> Self {
-        let latent_table = match decoder {
+    pub(crate) fn of(image: &Image<'_>) -> Self {
+        let len = |section| image.section(section).len();
+        let latent_table = match image.decoder() {
             Decoder::Modulated { modulation, .. } => modulation.len(),
             Decoder::Table { actions } => actions.len(),
         };
         let mut sizes = Self {
             header: HEADER_LEN,
             table: TABLE_LEN,
-            interface: image.interface_len,
-            input: image.input_len,
-            q: image.q.bytes.len(),
-            confidence: image.confidence.bytes.len(),
-            decoder: image.decoder.bytes.len().wrapping_sub(latent_table),
+            interface: len(Section::Interface),
+            input: len(Section::Input),
+            q: len(Section::Q),
+            confidence: len(Section::Confidence),
+            decoder: len(Section::Decoder).wrapping_sub(latent_table),
             latent_table,
-            self_test: image.self_test_len,
-            provenance: image.provenance.len(),
-            trailer: image.trailer.len(),
+            self_test: len(Section::SelfTest),
+            provenance: len(Section::Provenance),
+            trailer: image.trailer().len(),
             padding: 0,
-            total: image.header.total_len as usize,
+            total: image.file.len(),
         };
         sizes.padding = [
             sizes.header,
@@ -91,22 +91,16 @@ pub struct LayerShape {
     pub bytes: usize,
 }
 
-fn shapes(network: Section, net: Net<'_>) -> impl Iterator<Item = LayerShape> + use<'_> {
-    net.slots.into_iter().take(net.count).map(move |layer| LayerShape {
-        network,
-        rows: layer.rows,
-        cols: layer.cols,
-        out_bits: layer.bits,
-        bytes: layer.stream.len(),
-    })
-}
-
 /// Layers of all networks, in file order.
-pub(crate) fn layer_shapes<'a>(nets: &Nets<'a>) -> impl Iterator<Item = LayerShape> + use<'a> {
-    let confidence = nets.confidence.as_ref().map(|(net, _)| *net).unwrap_or_default();
-    let decoder = match nets.decoder {
-        Decoder::Modulated { net, .. } => net,
-        Decoder::Table { .. } => Net::default(),
-    };
-    shapes(Section::Q, nets.q).chain(shapes(Section::Confidence, confidence)).chain(shapes(Section::Decoder, decoder))
+pub(crate) fn layer_shapes<'a>(image: &Image<'a>) -> impl Iterator<Item = LayerShape> + use<'a> {
+    let image = *image;
+    [Section::Q, Section::Confidence, Section::Decoder].into_iter().flat_map(move |network| {
+        image.net(network).layers().map(move |layer| LayerShape {
+            network,
+            rows: layer.rows,
+            cols: layer.cols,
+            out_bits: layer.bits,
+            bytes: layer.stream.len(),
+        })
+    })
 }

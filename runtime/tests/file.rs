@@ -260,11 +260,11 @@ fn bounds_are_proven_from_the_weights() {
     ));
     // A b weight of -128.
     let lane = (-128i16).to_le_bytes();
-    assert_eq!(changed(&bytes, stream + 16, &lane), LoadError::Weight { section: Section::Q, layer: 0, row: 0 });
+    assert_eq!(changed(&bytes, stream + 16, &lane), LoadError::Weight { section: Section::Q, layer: 0, row: 1 });
     // A weight in the padding: column 3 of 3, lane 1 of the second word pair.
     assert_eq!(
         changed(&bytes, stream + 16 + 8 + 2, &[1, 0]),
-        LoadError::PaddedWeight { section: Section::Q, layer: 0, row: 0 }
+        LoadError::PaddedWeight { section: Section::Q, layer: 0, row: 1 }
     );
 }
 

@@ -49,13 +49,13 @@ impl PolicyImage {
             Ok(policy) => {
                 let mut memory = vec![0; policy.spec().scratch_words];
                 policy.self_test(&mut Scratch::new(&mut memory)).map_err(ImageError::SelfTest)?;
-                summarise(policy.header(), policy.spec(), &policy.provenance())
+                summarise(&policy.header(), policy.spec(), &policy.provenance())
             }
             Err(LoadError::WeightKind { .. }) => {
                 let policy = FloatPolicy::load(&image).map_err(ImageError::Load)?;
                 let mut memory = vec![0; policy.spec().scratch_words];
                 policy.self_test(&mut Scratch::new(&mut memory)).map_err(ImageError::SelfTest)?;
-                summarise(policy.header(), policy.spec(), &policy.provenance())
+                summarise(&policy.header(), policy.spec(), &policy.provenance())
             }
             Err(error) => return Err(ImageError::Load(error)),
         };

@@ -106,9 +106,9 @@ fn check_action(name: &str, head: ActionHead, safe: f32) -> Result<(), EncodeErr
         }
         ActionHead::Discrete { n } => {
             within(format!("types of action {name}"), 1, MAX_TYPES, usize::from(n))?;
-            crate::load::is_index(safe, n)
+            crate::reader::is_index(safe, n.into())
         }
-        ActionHead::Binary => crate::load::is_index(safe, 2),
+        ActionHead::Binary => crate::reader::is_index(safe, 2),
     };
     if ok {
         Ok(())
@@ -175,8 +175,8 @@ fn check_decoder(model: &FloatModel, obs_dim: usize, latents: usize) -> Result<(
                 for (value, action) in row.iter().zip(&model.interface.actions) {
                     let ok = match action.head {
                         ActionHead::Continuous { .. } => (-1.0..=1.0).contains(value),
-                        ActionHead::Discrete { n } => crate::load::is_index(*value, n),
-                        ActionHead::Binary => crate::load::is_index(*value, 2),
+                        ActionHead::Discrete { n } => crate::reader::is_index(*value, n.into()),
+                        ActionHead::Binary => crate::reader::is_index(*value, 2),
                     };
                     if !ok {
                         let what = format!("table decoder: value of {} before denormalisation", action.name);

@@ -2,11 +2,12 @@
 
 use super::int_model::{IntDecoder, IntLayer, IntNet, QuantiseReport, QuantisedModel};
 use super::model::{ActionSlot, HeadEncoding, Interface, ObservationSlot, ProvenanceOwned, Snap};
-use crate::Policy;
 use crate::fields::i32_at;
+use crate::image::Image;
 use crate::net::{
-    Decoder, ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, HEAD_LEN, Layer, Net, SNAP_ANY, SNAP_EDGES,
+    Decoder, ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, HEAD_LEN, Layer, SNAP_ANY, SNAP_EDGES,
 };
+use crate::{Policy, Section};
 use std::vec;
 use std::vec::Vec;
 
@@ -14,15 +15,15 @@ impl QuantisedModel {
     /// What a loaded policy holds; writing it with the same vectors and options gives the same bytes.
     #[must_use]
     pub fn read(policy: &Policy<'_>) -> Self {
-        let nets = policy.nets();
-        let (decoder, heads) = match &nets.decoder {
+        let image = policy.image();
+        let (decoder, heads) = match image.decoder() {
             Decoder::Table { actions } => {
                 let values: Vec<f32> = actions.as_chunks().0.iter().map(|&value| f32::from_le_bytes(value)).collect();
                 let slots = usize::from(policy.spec().action_dim);
                 (IntDecoder::Table(values.chunks(slots).map(<[f32]>::to_vec).collect()), vec![])
             }
-            Decoder::Modulated { net, modulation, heads } => {
-                let mut int = read_net(net, true);
+            Decoder::Modulated { modulation, heads, .. } => {
+                let mut int = read_net(image, Section::Decoder);
                 if let Some(first) = int.layers.first_mut() {
                     first.constants = read_table(modulation, first.rows);
                 }
@@ -32,12 +33,9 @@ impl QuantisedModel {
         Self {
             interface: read_interface(policy),
             input: policy.input_quantisers().map(|quantiser| (quantiser.offset, quantiser.scale)).collect(),
-            input_bits: policy.image().input_bits,
-            q: read_net(&nets.q, false),
-            confidence: nets
-                .confidence
-                .as_ref()
-                .map(|(net, threshold)| (read_net(net, false), (threshold.num, threshold.den))),
+            input_bits: image.input().0,
+            q: read_net(image, Section::Q),
+            confidence: policy.mask_threshold().map(|threshold| (read_net(image, Section::Confidence), threshold)),
             decoder,
             heads,
             provenance: policy.provenance().into(),
@@ -102,9 +100,14 @@ fn read_head([kind, snap, low, high]: [u8; HEAD_LEN]) -> HeadEncoding {
     }
 }
 
-fn read_net(net: &Net<'_>, modulated: bool) -> IntNet {
-    let layers = net.layers().enumerate().map(|(index, layer)| read_layer(layer, modulated && index == 0));
-    IntNet { layers: layers.collect(), frac_bits: net.frac_bits as u16, scale: net.scale }
+fn read_net(image: &Image<'_>, section: Section) -> IntNet {
+    let decoder = section == Section::Decoder;
+    let layers = image.net(section).layers().enumerate();
+    IntNet {
+        layers: layers.map(|(index, layer)| read_layer(&layer, decoder && index == 0)).collect(),
+        frac_bits: image.frac_bits(section) as u16,
+        scale: if decoder { 1.0 } else { image.logit_scale(section) },
+    }
 }
 
 /// Unpacks the stream of a layer.

@@ -173,7 +173,7 @@ impl Rows {
     fn constants(row: usize, start: &Start, unit: f64, offset: f64, half: f64) -> Option<(i32, i32)> {
         let m = (unit * 4_294_967_296.0 / Self::lift(row) as f64).round();
         let p = (offset + half).round();
-        if m.abs() > f64::from(i32::MAX) || p.abs() > RESULT_LIMIT as f64 || start.reach > ACC_LIMIT {
+        if m.abs() > f64::from(i32::MAX) || p.abs() > f64::from(RESULT_LIMIT) || start.reach > i64::from(ACC_LIMIT) {
             return None;
         }
         let product = (i128::from(start.reach) * (m.abs() as i128)) >> 32;

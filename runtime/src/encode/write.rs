@@ -6,8 +6,8 @@ use super::image::AlignedImage;
 use super::int_model::{IntDecoder, IntNet, QuantisedModel};
 use super::model::{Dense, FloatDecoder, FloatModel, HeadEncoding, Interface, ProvenanceOwned, Snap};
 use super::threshold::threshold;
+use crate::crc::crc32;
 use crate::interface::{HEAD_BINARY, HEAD_CONTINUOUS, HEAD_DISCRETE, InterfaceView, interface_hash};
-use crate::load::CRC32;
 use crate::net::{
     DECODER_MODULATED, DECODER_TABLE, ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, ENCODING_TYPES, NET_HEAD,
     SNAP_ANY, SNAP_EDGES, SNAP_NONE,
@@ -90,8 +90,7 @@ pub fn write_float(model: &FloatModel, self_test: &[f32], options: &FileOptions)
     }
     let bytes = float_image(model, &vectors, options)?;
     let image = AlignedImage::new(&bytes);
-    let loaded = crate::load::Image::load(&image, WeightKind::Float32)?;
-    crate::load_net::Nets::load(&loaded)?;
+    crate::load::load(&image, WeightKind::Float32)?;
     #[cfg(feature = "float")]
     {
         let policy = crate::FloatPolicy::load(&image)?;
@@ -332,7 +331,7 @@ fn file(parts: &Parts<'_>, vectors: &[(&[f32], Answer)], options: &FileOptions) 
         out.u16(usize::from(record.kind));
         out.u16(0);
         out.u32(record.data.len());
-        out.bytes.extend(CRC32.checksum(&record.data).to_le_bytes());
+        out.bytes.extend(crc32(&record.data).to_le_bytes());
         out.u32(0);
         out.bytes.extend(&record.data);
         out.align();
@@ -363,9 +362,9 @@ fn file(parts: &Parts<'_>, vectors: &[(&[f32], Answer)], options: &FileOptions) 
 pub fn reseal(file: &mut [u8]) {
     let Some(payload_len) = crate::fields::u32_at(file, 16) else { return };
     let Some(payload) = file.get(HEADER_LEN..).and_then(|rest| rest.get(..payload_len as usize)) else { return };
-    let crc = CRC32.checksum(payload);
+    let crc = crc32(payload);
     file[20..24].copy_from_slice(&crc.to_le_bytes());
-    let crc = CRC32.checksum(&file[..60]);
+    let crc = crc32(&file[..60]);
     file[60..64].copy_from_slice(&crc.to_le_bytes());
 }
 
@@ -416,12 +415,12 @@ fn write_interface(out: &mut Buffer, interface: &Interface) -> u64 {
     out.append(&observations);
     out.append(&actions);
     out.bytes.extend(text.as_bytes());
-    interface_hash(InterfaceView {
+    let view = InterfaceView {
         observations: observations.bytes.as_chunks().0,
         actions: actions.bytes.as_chunks().0,
         text: text.as_bytes(),
-        control_period_us: interface.control_period_us,
-    })
+    };
+    interface_hash(view, interface.control_period_us)
 }
 
 /// Records of the layers; returns where the place of each stream is to be written.

@@ -14,7 +14,7 @@ use core::arch::naked_asm;
 /// Units of 8 columns that one list of addresses covers.
 const LIST_UNITS: usize = 32;
 
-/// What `layer` needs besides its pointers; the assembly reads the fields by offset.
+/// What `blocks` needs besides its pointers; the assembly reads the fields by offset.
 #[repr(C)]
 struct Plan {
     /// One past the last word of the outputs.
@@ -56,43 +56,28 @@ impl Plan {
     }
 }
 
-/// As [`super::hidden_layer`], whose checks have passed.
-pub(super) fn hidden_layer(stream: &[u8], cols: u16, bits: u32, x: &[u32], out: &mut [u32]) {
-    let (out, _) = out.as_chunks_mut::<2>();
-    if out.is_empty() {
+/// As `dense::layer`, whose checks have passed.
+pub(super) fn layer(stream: &[u8], cols: u16, bits: u32, modulation: Option<&[u8]>, x: &[u32], out: &mut [u32]) {
+    let words: usize = if bits > 10 { 4 } else { 2 };
+    let ends = out.as_mut_ptr_range();
+    let len = out.len() & words.wrapping_neg();
+    if len == 0 {
         return;
     }
-    let ends = out.as_flattened_mut().as_mut_ptr_range();
-    let plan = Plan::new(cols, x, ends.end, core::ptr::null(), usize::from(bits == 10));
-    // SAFETY: `dense.rs` checked that `stream` is aligned to 4 and holds a block of `cols` columns with its multipliers
-    // for every two words of `out`, and that `x` has the words of all columns, padding included; the routine reads no
-    // further and writes the words from `ends.start` to `ends.end`, which are at least two and even in number.
-    unsafe { layer(stream.as_ptr(), x.as_ptr(), ends.start, &raw const plan) }
-}
-
-/// As [`super::modulated_layer`], whose checks have passed.
-pub(super) fn modulated_layer(stream: &[u8], cols: u16, bits: u32, modulation: &[u8], x: &[u32], out: &mut [u32]) {
-    let (out, _) = out.as_chunks_mut::<2>();
-    if out.is_empty() {
-        return;
-    }
-    let ends = out.as_flattened_mut().as_mut_ptr_range();
-    let plan = Plan::new(cols, x, ends.end, modulation.as_ptr(), if bits == 10 { 3 } else { 2 });
-    // SAFETY: as in `hidden_layer`; the blocks of `stream` end with the weights, and `modulation`, which is aligned to 4
-    // as well, has 32 bytes for each of them.
-    unsafe { layer(stream.as_ptr(), x.as_ptr(), ends.start, &raw const plan) }
-}
-
-/// As [`super::linear_layer`], whose checks have passed.
-pub(super) fn linear_layer(stream: &[u8], cols: u16, x: &[u32], out: &mut [u32]) {
-    let (out, _) = out.as_chunks_mut::<4>();
-    if out.is_empty() {
-        return;
-    }
-    let ends = out.as_flattened_mut().as_mut_ptr_range();
-    let plan = Plan::new(cols, x, ends.end, core::ptr::null(), 4);
-    // SAFETY: as in `hidden_layer`, with four words of `out` to a block; their number is at least four and a multiple.
-    unsafe { layer(stream.as_ptr(), x.as_ptr(), ends.start, &raw const plan) }
+    let hidden = usize::from(bits == 10).wrapping_add(if modulation.is_some() { 2 } else { 0 });
+    let plan = Plan::new(
+        cols,
+        x,
+        ends.start.wrapping_add(len),
+        modulation.map_or(core::ptr::null(), <[u8]>::as_ptr),
+        if bits > 10 { 4 } else { hidden },
+    );
+    // SAFETY: `dense.rs` checked that `stream` is aligned to 4 and holds a block of `cols` columns for every two words of
+    // `out`, every four where the layer is linear; that the blocks end with their multipliers, or that `modulation`, which
+    // is aligned to 4 as well, has 32 bytes for each of them; and that `x` has the words of all columns, padding included.
+    // The routine reads no further and writes the words from `ends.start` to `plan.end`, which are whole blocks, at least
+    // one.
+    unsafe { blocks(stream.as_ptr(), x.as_ptr(), ends.start, &raw const plan) }
 }
 
 /// Two words of activations (r6, r7 or r8, r9: `$x0`, `$x1`) against the weights in r10, r11, r12, lr.
@@ -222,7 +207,7 @@ macro_rules! next {
 /// `stream` and `plan.modulation` aligned to 4; as many blocks as outputs need, for the columns of `plan`; `x` up to
 /// `plan.x_end` readable; `out` writable up to `plan.end`, at least one block and whole blocks.
 #[unsafe(naked)]
-unsafe extern "C" fn layer(stream: *const u8, x: *const u32, out: *mut u32, plan: *const Plan) {
+unsafe extern "C" fn blocks(stream: *const u8, x: *const u32, out: *mut u32, plan: *const Plan) {
     naked_asm!(
         // Frame and saved registers.
         "push.w {{r4-r11, lr}}",
@@ -356,19 +341,25 @@ unsafe extern "C" fn layer(stream: *const u8, x: *const u32, out: *mut u32, plan
 
 /// Replaces logits (`i32` as words) by `2^-(top - logit)` as Q30; see [`exp2_neg`](super::exp2_neg).
 pub fn exp2_below(logits: &mut [u32], top: i32, frac_bits: u32) {
-    let (pairs, last) = logits.as_chunks_mut::<2>();
     // A product with 2^(32 - F) splits a number into whole part and fraction; there is no such factor for F = 0.
     let factor = 1u32.wrapping_shl(32u32.wrapping_sub(frac_bits));
-    if frac_bits == 0 || frac_bits > 31 {
-        super::portable::exp2_below(logits, top, frac_bits);
+    if frac_bits == 0 {
+        super::exp2::whole(logits, top);
         return;
     }
+    let (pairs, last) = logits.as_chunks_mut::<2>();
     if !pairs.is_empty() {
         let ends = pairs.as_flattened_mut().as_mut_ptr_range();
         // SAFETY: the routine reads and writes the words of the slice, which are at least two and even in number.
         unsafe { exp2_words(ends.start, ends.end, top, factor) }
     }
-    super::portable::exp2_below(last, top, frac_bits);
+    if let [last] = last {
+        let mut pair = [*last; 2];
+        let ends = pair.as_mut_ptr_range();
+        // SAFETY: as above, two words.
+        unsafe { exp2_words(ends.start, ends.end, top, factor) }
+        [*last, _] = pair;
+    }
 }
 
 /// The exponential of the word at `$at` behind r0, written in its place.

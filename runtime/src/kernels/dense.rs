@@ -14,13 +14,17 @@ use super::armv7em as kernel;
 #[cfg(not(armv7em))]
 use super::portable as kernel;
 
+use crate::schema::padded;
+
 const ACC_LEN: usize = 16;
 const MP_LEN: usize = 32;
+/// Bits of a logit.
+const LINEAR: u32 = 32;
 
 /// Bytes of one block of a layer with `cols` columns.
 #[must_use]
 pub const fn block_len(cols: u16, modulated: bool) -> usize {
-    let weights = (cols as usize).next_multiple_of(16).wrapping_mul(4);
+    let weights = padded(cols as usize, 16).wrapping_mul(4);
     weights.wrapping_add(if modulated { ACC_LEN } else { ACC_LEN + MP_LEN })
 }
 
@@ -31,38 +35,39 @@ fn holds(bytes: &[u8], blocks: usize, len: usize) -> bool {
 
 /// Whether there is an activation for every column, the padding included.
 fn covers(x: &[u32], cols: u16) -> bool {
-    cols > 0 && x.len() >= usize::from(cols).next_multiple_of(16) / 2
+    cols > 0 && x.len() >= padded(cols.into(), 16) / 2
+}
+
+/// One layer of any kind: activations `x` to activations of `bits` bits (8 or 10, with the ReLU, two words of `out` a
+/// block) or to `i32` logits (`bits` 32, four words a block, not modulated). Multipliers and offsets are in the stream, or
+/// in `modulation`, the table of one latent (32 bytes a block).
+#[inline(always)]
+pub(crate) fn layer(stream: &[u8], cols: u16, bits: u32, modulation: Option<&[u8]>, x: &[u32], out: &mut [u32]) {
+    let words = if bits == LINEAR { 4 } else { 2 };
+    let blocks = out.len() / words;
+    let known = bits == 8 || bits == 10 || (bits == LINEAR && modulation.is_none());
+    let constants = modulation.is_none_or(|table| holds(table, blocks, MP_LEN));
+    let fits = covers(x, cols) && holds(stream, blocks, block_len(cols, modulation.is_some()));
+    if known && constants && fits {
+        kernel::layer(stream, cols, bits, modulation, x, out);
+    } else {
+        out.fill(0);
+    }
 }
 
 /// A ReLU layer: activations `x` to activations of `bits` bits (8 or 10), two words of `out` a block.
 pub fn hidden_layer(stream: &[u8], cols: u16, bits: u32, x: &[u32], out: &mut [u32]) {
-    let blocks = out.as_chunks::<2>().0.len();
-    if (bits == 8 || bits == 10) && covers(x, cols) && holds(stream, blocks, block_len(cols, false)) {
-        kernel::hidden_layer(stream, cols, bits, x, out);
-    } else {
-        out.fill(0);
-    }
+    layer(stream, cols, if bits == LINEAR { 0 } else { bits }, None, x, out);
 }
 
 /// A ReLU layer whose multipliers and offsets come from `modulation`, the table of one latent (32 bytes a block).
 pub fn modulated_layer(stream: &[u8], cols: u16, bits: u32, modulation: &[u8], x: &[u32], out: &mut [u32]) {
-    let blocks = out.as_chunks::<2>().0.len();
-    let fits = holds(stream, blocks, block_len(cols, true)) && holds(modulation, blocks, MP_LEN);
-    if (bits == 8 || bits == 10) && covers(x, cols) && fits {
-        kernel::modulated_layer(stream, cols, bits, modulation, x, out);
-    } else {
-        out.fill(0);
-    }
+    layer(stream, cols, bits, Some(modulation), x, out);
 }
 
 /// A linear layer: activations `x` to `i32` logits, stored as words, four a block.
 pub fn linear_layer(stream: &[u8], cols: u16, x: &[u32], out: &mut [u32]) {
-    let blocks = out.as_chunks::<4>().0.len();
-    if covers(x, cols) && holds(stream, blocks, block_len(cols, false)) {
-        kernel::linear_layer(stream, cols, x, out);
-    } else {
-        out.fill(0);
-    }
+    layer(stream, cols, LINEAR, None, x, out);
 }
 
 #[cfg(test)]

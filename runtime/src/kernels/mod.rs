@@ -17,6 +17,7 @@ pub mod portable;
 
 #[cfg(armv7em)]
 pub use armv7em::exp2_below;
+pub(crate) use dense::layer;
 pub use dense::{block_len, hidden_layer, linear_layer, modulated_layer};
 pub use exp2::{ONE, exp2_neg};
 #[cfg(not(armv7em))]

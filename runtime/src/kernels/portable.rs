@@ -140,6 +140,16 @@ pub fn linear_layer(stream: &[u8], cols: u16, x: &[u32], out: &mut [u32]) {
     }
 }
 
+/// As `dense::layer`, whose checks have passed.
+#[cfg(not(armv7em))]
+pub(super) fn layer(stream: &[u8], cols: u16, bits: u32, modulation: Option<&[u8]>, x: &[u32], out: &mut [u32]) {
+    match modulation {
+        Some(table) => modulated_layer(stream, cols, bits, table, x, out),
+        None if bits > 10 => linear_layer(stream, cols, x, out),
+        None => hidden_layer(stream, cols, bits, x, out),
+    }
+}
+
 /// Replaces logits (`i32` as words) by `2^-(top - logit)` as Q30; see [`exp2_neg`].
 pub fn exp2_below(logits: &mut [u32], top: i32, frac_bits: u32) {
     for word in logits {

@@ -77,6 +77,11 @@ fn step(counter: &Counter, case: &Case) {
     let weights: usize = policy.layers().map(|layer| layer.bytes).sum();
     hprintln!("act.{} {} {} {}", case.name, least, most, weights);
     hprintln!("scratch.{} {}", case.name, words * 4);
+    // The counter holds ten million; the larger files take more.
+    if case.image.len() < 100_000 {
+        let load = counter.count(|| _ = black_box(Policy::load(black_box(case.image))));
+        hprintln!("load.{} {}", case.name, load);
+    }
 }
 
 fn stack() {

@@ -1,0 +1,166 @@
+//! A checked file, whose parts are looked up when they are needed: a policy is a few words, and the rest stays in flash.
+
+use crate::fields::{f32_at, slice_at, slice_of, u16_at, u32_at, u64_at};
+use crate::interface::{ACTION_LEN, INTERFACE_HEAD, InterfaceView, OBSERVATION_LEN};
+use crate::net::{Decoder, HEAD_LEN, LAYER_LEN, NET_HEAD, Net, Threshold};
+use crate::schema::{HEADER_LEN, Header, PolicySpec, Section, TRAILER_HEAD, WeightKind};
+
+/// Bytes before the first input record.
+pub(crate) const INPUT_HEAD: usize = 16;
+/// Bytes of an input record: offset and scale.
+pub(crate) const INPUT_LEN: usize = 8;
+/// Bytes before the first self-test vector.
+pub(crate) const SELF_TEST_HEAD: usize = 16;
+
+/// What integer and float policies have in common: `load` gives one whose every byte was checked.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Image<'a> {
+    /// The whole file, without what follows it in its slot.
+    pub(crate) file: &'a [u8],
+    pub(crate) spec: PolicySpec,
+    /// Layers of the Q-network, the confidence network and the decoder.
+    pub(crate) layers: [&'a [[u8; LAYER_LEN]]; 3],
+    /// Widest hidden layer of all networks.
+    pub(crate) hidden_width: u16,
+}
+
+impl<'a> Image<'a> {
+    /// A file whose dimensions are not known yet.
+    pub(crate) fn new(file: &'a [u8], weights: WeightKind) -> Self {
+        let spec = PolicySpec {
+            obs_dim: 0,
+            action_dim: 0,
+            num_latents: 0,
+            control_period_us: 0,
+            scratch_words: 0,
+            macs: 0,
+            weights,
+        };
+        Self { file, spec, layers: [&[]; 3], hidden_width: 0 }
+    }
+
+    /// A `u32` of the header.
+    pub(crate) fn word(&self, at: usize) -> u32 {
+        u32_at(self.file, at).unwrap_or_default()
+    }
+
+    /// The header of the file.
+    pub(crate) fn header(&self) -> Header {
+        Header {
+            format: u16_at(self.file, 8).unwrap_or_default(),
+            numerics: u16_at(self.file, 10).unwrap_or_default(),
+            total_len: self.word(12),
+            payload_len: self.word(16),
+            payload_crc32: self.word(20),
+            interface_hash: self.interface_hash(),
+            policy_seq: self.word(32),
+            scratch_words: self.word(36),
+            runtime_abi: self.word(40),
+            weights: self.spec.weights,
+        }
+    }
+
+    pub(crate) fn interface_hash(&self) -> u64 {
+        u64_at(self.file, 24).unwrap_or_default()
+    }
+
+    /// A section of the table.
+    pub(crate) fn section(&self, section: Section) -> &'a [u8] {
+        slice_at(self.file, section.entry())
+    }
+
+    pub(crate) fn interface(&self) -> InterfaceView<'a> {
+        let section = self.section(Section::Interface);
+        let observations_len = usize::from(self.spec.obs_dim).wrapping_mul(OBSERVATION_LEN);
+        let records = section.get(INTERFACE_HEAD..).unwrap_or_default();
+        let (observations, rest) = records.split_at_checked(observations_len).unwrap_or_default();
+        let actions_len = usize::from(self.spec.action_dim).wrapping_mul(ACTION_LEN);
+        let (actions, text) = rest.split_at_checked(actions_len).unwrap_or_default();
+        InterfaceView { observations: observations.as_chunks().0, actions: actions.as_chunks().0, text }
+    }
+
+    /// The records of the action slots.
+    #[inline(never)]
+    pub(crate) fn actions(&self) -> &'a [[u8; ACTION_LEN]] {
+        let at = usize::from(self.spec.obs_dim).wrapping_mul(OBSERVATION_LEN).wrapping_add(INTERFACE_HEAD);
+        let end = usize::from(self.spec.action_dim).wrapping_mul(ACTION_LEN).wrapping_add(at);
+        self.section(Section::Interface).get(at..end).unwrap_or_default().as_chunks().0
+    }
+
+    /// Bits of a quantised observation, and the records of offset and scale.
+    pub(crate) fn input(&self) -> (u16, &'a [[u8; INPUT_LEN]]) {
+        let section = self.section(Section::Input);
+        let bits = u16_at(section, 0).unwrap_or_default();
+        (bits, section.get(INPUT_HEAD..).unwrap_or_default().as_chunks().0)
+    }
+
+    /// A network, or the network of a decoder; without layers where there is none.
+    pub(crate) fn net(&self, section: Section) -> Net<'a> {
+        let [q, confidence, decoder] = self.layers;
+        let layers = match section {
+            Section::Q => q,
+            Section::Confidence => confidence,
+            _ => decoder,
+        };
+        Net { file: self.file, layers }
+    }
+
+    /// Fraction bits of the logits of a network or decoder, in log2 units.
+    pub(crate) fn frac_bits(&self, section: Section) -> u32 {
+        // A decoder has its kind before the number of layers.
+        let at = if section == Section::Decoder { 4 } else { 2 };
+        u16_at(self.section(section), at).unwrap_or_default().into()
+    }
+
+    /// Value of one unit of the logits of the Q-network or the confidence network.
+    pub(crate) fn logit_scale(&self, section: Section) -> f32 {
+        f32_at(self.section(section), 4).unwrap_or_default()
+    }
+
+    /// Threshold of the mask, where there is a confidence network.
+    pub(crate) fn threshold(&self) -> Option<Threshold> {
+        if self.net(Section::Confidence).layers.is_empty() {
+            return None;
+        }
+        let section = self.section(Section::Confidence);
+        Some(Threshold { num: u32_at(section, 8)?, den: u32_at(section, 12)? })
+    }
+
+    /// From latent and observation to head values.
+    pub(crate) fn decoder(&self) -> Decoder<'a> {
+        let section = self.section(Section::Decoder);
+        let word = |at| u32_at(section, at).unwrap_or_default();
+        let table = slice_of(self.file, word(8), word(12));
+        let net = self.net(Section::Decoder);
+        if net.layers.is_empty() {
+            return Decoder::Table { actions: table };
+        }
+        let at = net.layers.len().wrapping_mul(LAYER_LEN).wrapping_add(NET_HEAD);
+        let heads = section.get(at..).unwrap_or_default().as_chunks::<HEAD_LEN>().0;
+        let heads = heads.get(..usize::from(self.spec.action_dim)).unwrap_or_default();
+        Decoder::Modulated { net, modulation: table, heads }
+    }
+
+    /// The self-test vectors.
+    pub(crate) fn self_tests(&self) -> &'a [u8] {
+        self.section(Section::SelfTest).get(SELF_TEST_HEAD..).unwrap_or_default()
+    }
+
+    /// What follows the payload.
+    pub(crate) fn trailer(&self) -> &'a [u8] {
+        self.file.get((self.word(16) as usize).wrapping_add(HEADER_LEN)..).unwrap_or_default()
+    }
+
+    /// The optional records of the trailer: kind and content.
+    pub(crate) fn trailer_records(&self) -> impl Iterator<Item = (u16, &'a [u8])> + use<'a> {
+        let mut rest = self.trailer();
+        core::iter::from_fn(move || {
+            let kind = u16_at(rest, 0)?;
+            let len = u32_at(rest, 4)? as usize;
+            let data = rest.get(TRAILER_HEAD..)?.get(..len)?;
+            let next = len.checked_next_multiple_of(crate::schema::SECTION_ALIGN)?.checked_add(TRAILER_HEAD)?;
+            rest = rest.get(next..)?;
+            Some((kind, data))
+        })
+    }
+}
