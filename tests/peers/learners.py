@@ -99,3 +99,107 @@ def dqn_decoupled(obs, hidden, slots, bins, lr=3e-4, eps=1e-8, tau=0.001):
     groups = lambda q: q.view(-1, slots, bins)
     mean = lambda q, index: groups(q).gather(2, index.unsqueeze(2)).squeeze(2).mean(1)
     return Dqn(lambda: mlp(obs, *hidden, slots * bins), mean, lambda q: groups(q).argmax(2), lr, eps, tau)
+
+
+class PdqnNet(torch.nn.Module):
+    """Values of all types at arguments x: an encoder of the observation, two streams on encoder and arguments."""
+
+    def __init__(self, obs, hidden, types, arguments):
+        super().__init__()
+        w = hidden[-1] + arguments
+        self.encoder = torch.nn.Sequential(mlp(obs, *hidden), torch.nn.ReLU())
+        self.advantage_hidden, self.value_hidden = torch.nn.Linear(w, w), torch.nn.Linear(w, w)
+        self.advantage, self.value = torch.nn.Linear(w, types), torch.nn.Linear(w, 1)
+
+    def heads(self, e, x):
+        pair = torch.cat([e, x], -1)
+        a = self.advantage(F.relu(self.advantage_hidden(pair)))
+        return a - a.mean(-1, keepdim=True) + self.value(F.relu(self.value_hidden(pair)))
+
+
+class Pdqn:
+    """Bester et al. 2019; `uses` (types x arguments) tells which arguments a pass sees: with ones everywhere it is PDQN."""
+
+    def __init__(self, obs, hidden, uses, absent, lr=3e-4, eps=1e-8, tau=0.001):
+        types, arguments = uses.shape
+        self.q, self.target = (PdqnNet(obs, hidden, types, arguments) for _ in range(2))
+        self.x = mlp(hidden[-1], hidden[-1], arguments)
+        self.uses, self.absent, self.tau = uses, absent, tau
+        self.parameters, self.frozen = list(self.q.parameters()), list(self.target.parameters())
+        self.x_parameters = list(self.x.parameters())
+        self.q_adam, self.x_adam = optimiser(self.parameters, lr, eps), optimiser(self.x_parameters, lr, eps)
+
+    def seen(self, x, uses):
+        return x * uses + self.absent * (1 - uses)
+
+    def all_passes(self, e, x):
+        """One whole pass per type, and of each the output of that type."""
+        types = len(self.uses)
+        passes = self.seen(x.unsqueeze(1), self.uses)
+        values = self.q.heads(e.unsqueeze(1).expand(-1, types, -1), passes)
+        return values.diagonal(dim1=1, dim2=2)
+
+    def update_q(self, obs, types, x, returns, bootstrap, next_obs):
+        taken = lambda net, obs, x, types: (
+            net.heads(net.encoder(obs), self.seen(x, self.uses[types])).gather(1, types.unsqueeze(1)).squeeze(1)
+        )
+        with torch.no_grad():
+            e = self.q.encoder(next_obs)
+            proposed = self.x(e).tanh()
+            best = self.all_passes(e, proposed).argmax(1)
+            y = returns + bootstrap * taken(self.target, next_obs, proposed, best)
+        loss = F.mse_loss(taken(self.q, obs, x, types), y)
+        descend(self.q_adam, loss, self.parameters)
+        with torch.no_grad():
+            torch._foreach_lerp_(self.frozen, self.parameters, self.tau)
+        return {"targets": y, "q_loss": loss}
+
+    def update_x(self, obs):
+        e = self.q.encoder(obs).detach()
+        loss = -self.all_passes(e, self.x(e).tanh()).sum(1).mean()
+        descend(self.x_adam, loss, self.x_parameters)
+        return {"policy_loss": loss}
+
+
+class Hppo:
+    """Schulman et al. 2017 with a type and its arguments, each with its own clipped ratio."""
+
+    def __init__(self, obs, hidden, types, arguments, s):
+        w = hidden[-1]
+        self.encoder = torch.nn.Sequential(mlp(obs, *hidden), torch.nn.ReLU())
+        self.types, self.arguments, self.value = mlp(w, w, types), mlp(w, w, arguments), mlp(w, w, 1)
+        nets = [self.encoder, self.types, self.arguments, self.value]
+        self.parameters = [p for net in nets for p in net.parameters()]
+        self.adam, self.s = optimiser(self.parameters, s["learning_rate"], s["epsilon"]), s
+
+    def outputs(self, obs):
+        e = self.encoder(obs)
+        types = torch.distributions.Categorical(logits=self.types(e))
+        arguments = torch.distributions.Normal(self.arguments(e).tanh(), self.s["sigma"])
+        return types, arguments, self.value(e).squeeze(1)
+
+    @torch.no_grad()
+    def targets(self, obs, next_obs, rewards, goes_on, ends, envs, deviation):
+        """Advantages, returns and values of a round; the latter two in units of `deviation`."""
+        values = self.outputs(obs)[2]
+        v, after = values * deviation, self.outputs(next_obs)[2] * deviation * goes_on
+        delta = rewards + self.s["gamma"] * after - v
+        advantages = torch.zeros_like(delta)
+        for i in reversed(range(len(delta))):
+            later = advantages[i + envs] if i + envs < len(delta) and not ends[i] else 0.0
+            advantages[i] = delta[i] + self.s["gamma"] * self.s["gae_lambda"] * later
+        return advantages, (v + advantages) / deviation, values
+
+    def update(self, obs, kinds, x, log, advantages, returns, values):
+        types, arguments, value = self.outputs(obs)
+        a = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        new = torch.stack([types.log_prob(kinds), arguments.log_prob(x).sum(1)], 1)
+        ratio = (new - log).exp()
+        bound = ratio.clamp(1 - self.s["clip"], 1 + self.s["clip"])
+        policy = -torch.minimum(ratio * a.unsqueeze(1), bound * a.unsqueeze(1)).sum(1).mean()
+        held = values + (value - values).clamp(-self.s["value_clip"], self.s["value_clip"])
+        value_loss = 0.5 * torch.maximum((returns - value) ** 2, (returns - held) ** 2).mean()
+        entropy = types.entropy().mean()
+        loss = policy + self.s["value_weight"] * value_loss - self.s["entropy_weight"] * entropy
+        descend(self.adam, loss, self.parameters)
+        return {"policy_loss": policy, "value_loss": value_loss, "policy_entropy": entropy}

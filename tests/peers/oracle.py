@@ -93,22 +93,47 @@ def dqn_manual(case, check):
     codes = b["codes"].long()
     check.close("listed actions", b["actions"], listed[codes])
 
-    def parts(net):
-        yield from layers_of(net.trunk, "trunk")
-        for name, layer in (("advantage.hidden", net.advantage_hidden), ("value.hidden", net.value_hidden),
-                            ("advantage", net.advantage), ("value", net.value)):
-            yield f"{name}.weight", layer.weight
-            yield f"{name}.bias", layer.bias
-
     nets = [("q", peer.q), ("q-target", peer.target)]
-    for network, net in nets:
-        for name, value in parts(net):
-            value.data = tensors(case["before"][network][name]).view(value.shape)
+    load_dueling(case, nets, lambda net: layers_of(net.trunk, "trunk"))
     out = peer.update(b["obs"], codes, b["returns"], b["bootstrap"], b["next_obs"])
     check.close("q_loss", torch.tensor([case["report"]["q_loss"]]), out["q_loss"])
+    compare_dueling(case, check, nets, lambda net: layers_of(net.trunk, "trunk"))
+
+
+def streams(net):
+    for name, layer in (("advantage.hidden", net.advantage_hidden), ("value.hidden", net.value_hidden),
+                        ("advantage", net.advantage), ("value", net.value)):
+        yield f"{name}.weight", layer.weight
+        yield f"{name}.bias", layer.bias
+
+
+def load_dueling(case, nets, below):
     for network, net in nets:
-        for name, value in parts(net):
+        for name, value in (*below(net), *streams(net)):
+            value.data = tensors(case["before"][network][name]).view(value.shape)
+
+
+def compare_dueling(case, check, nets, below):
+    for network, net in nets:
+        for name, value in (*below(net), *streams(net)):
             check.close(f"after: {network}/{name}", tensors(case["after"][network][name]), value)
+
+
+def pdqn(case, check):
+    s, b = case["settings"], {name: tensors(array) for name, array in case["batch"].items()}
+    uses = b["uses"]
+    peer = learners.Pdqn(b["obs"].shape[1], s["hidden"], uses, s["absent"], s["learning_rate"], s["epsilon"], s["tau"])
+    nets, below = [("q", peer.q), ("q-target", peer.target)], lambda net: layers_of(net.encoder, "encoder")
+    load_dueling(case, nets, below)
+    load(peer.x, case["before"]["x"], "x")
+    x = b["actions"][:, -uses.shape[1]:]
+    out = peer.update_q(b["obs"], b["codes"].long(), x, b["returns"], b["bootstrap"], b["next_obs"])
+    check.close("targets", torch.tensor(case["targets"]), out["targets"])
+    out.update(peer.update_x(b["obs"]))
+    for loss in ("q_loss", "policy_loss"):
+        check.close(loss, torch.tensor([case["report"][loss]]), out[loss])
+    compare_dueling(case, check, nets, below)
+    check.networks(case, "after", [("x", peer.x, "x")])
 
 
 def dqn_decoupled(case, check):
@@ -124,7 +149,27 @@ def dqn_decoupled(case, check):
     check.networks(case, "after", nets)
 
 
-CASES = {"td3": td3, "dqn-manual": dqn_manual, "dqn-decoupled": dqn_decoupled}
+def hppo(case, check):
+    s, b = case["settings"], {name: tensors(array) for name, array in case["batch"].items()}
+    before = case["before"]["policy"]
+    types, arguments = len(before["types1.bias"]["values"]), b["x"].shape[1]
+    peer = learners.Hppo(b["obs"].shape[1], s["hidden"], types, arguments, s)
+    nets = [("policy", peer.encoder, "encoder"), ("policy", peer.types, "types"),
+            ("policy", peer.arguments, "arguments"), ("policy", peer.value, "value")]
+    for network, net, prefix in nets:
+        load(net, case["before"][network], prefix)
+    round_ = (b["obs"], b["next_obs"], b["rewards"], b["goes_on"], b["ends"].bool(), s["envs"], s["deviation"])
+    targets = peer.targets(*round_)
+    for name, value in zip(("advantages", "returns", "values"), targets):
+        check.close(name, tensors(b[name]), value)
+    kinds, log = b["kinds"].long(), b["log"]
+    out = peer.update(b["obs"], kinds, b["x"], log, *targets)
+    for name, value in out.items():
+        check.close(name, torch.tensor([case["report"][name]]), value)
+    check.networks(case, "after", nets)
+
+
+CASES = {"td3": td3, "dqn-manual": dqn_manual, "dqn-decoupled": dqn_decoupled, "pdqn": pdqn, "hppo": hppo}
 
 
 def main():

@@ -3,9 +3,11 @@
 
 use gadm_envs::EnvSpec;
 use gadm_trainer::algo::dqn::TargetUpdate;
+use gadm_trainer::algo::hppo::{Hppo, HppoConfig};
 use gadm_trainer::algo::listed::{DqnManualConfig, HeadLayout, manual};
+use gadm_trainer::algo::pdqn::{MpdqnConfig, Pdqn, PdqnConfig};
 use gadm_trainer::algo::td3::{Td3, Td3Config};
-use gadm_trainer::algo::{Learner, Report};
+use gadm_trainer::algo::{Explorer, Learner, Observed, Report};
 use gadm_trainer::nn::AdamConfig;
 use gadm_trainer::replay::RlBatch;
 use gadm_trainer::seed::{Rng, SeedTree};
@@ -161,11 +163,133 @@ fn dqn(n: usize, layout: HeadLayout) -> anyhow::Result<Value> {
     }))
 }
 
+/// Settings of both PDQNs.
+fn pdqn_config(n: usize) -> PdqnConfig {
+    let mut config =
+        PdqnConfig { hidden: vec![16, 8], tau: 0.25, q_adam: adam(), x_adam: adam(), ..PdqnConfig::default() };
+    config.schedule.batch = n;
+    config
+}
+
+/// One update of the Q-network, then one of the arguments, of PDQN (`absent` is `None`) or MPDQN.
+fn pdqn(n: usize, env: &str, absent: Option<f64>) -> anyhow::Result<Value> {
+    let seeds = SeedTree::new(n as u64);
+    let rng = &mut seeds.stream("data");
+    let spec = gadm_envs::make(env)?.spec().clone();
+    let config = pdqn_config(n);
+    let mut learner = match absent {
+        None => Pdqn::single_pass(&config, &spec, seeds)?,
+        Some(absent) => Pdqn::multi_pass(&MpdqnConfig { pdqn: config.clone(), absent }, &spec, seeds)?,
+    };
+    move_targets(&mut learner, rng);
+    let mut actions = vec![0.0; n * spec.action_dim()];
+    learner.random(n, rng, &mut Vec::new(), &mut actions);
+    let types = learner.types().clone();
+    let mut data = batch(rng, n, spec.obs_dim(), actions);
+    data.codes = data.actions.chunks_exact(types.slots).map(|action| types.of(action) as f32).collect();
+    let before = networks(&mut learner);
+    let (mut q, mut x) = (Report::new(), Report::new());
+    learner.update_q(&data, &mut q);
+    let targets = learner.targets(n);
+    learner.update_x(&data, &mut x);
+    q.extend(x);
+    let uses: Vec<f32> = types.uses.iter().map(|&used| f32::from(u8::from(used || absent.is_none()))).collect();
+    let algorithm = if absent.is_some() { "mpdqn" } else { "pdqn" };
+    let mut inputs = batch_json(&data);
+    inputs["uses"] = array(&uses, &[types.len(), types.arguments()]);
+    Ok(json!({
+        "algorithm": "pdqn",
+        "name": format!("{algorithm}, {env}, batch {n}"),
+        "settings": {
+            "hidden": config.hidden,
+            "learning_rate": adam().learning_rate,
+            "epsilon": adam().epsilon,
+            "tau": config.tau,
+            "absent": absent.unwrap_or(0.0),
+        },
+        "batch": inputs,
+        "before": before,
+        "targets": targets,
+        "report": report_json(&q),
+        "after": networks(&mut learner),
+    }))
+}
+
+/// A round of `n` steps that the policy itself took, and one update on all of it.
+fn hppo(n: usize, env: &str) -> anyhow::Result<Value> {
+    let seeds = SeedTree::new(n as u64);
+    let (rng, noise) = (&mut seeds.stream("data"), &mut seeds.stream("noise"));
+    let spec = gadm_envs::make(env)?.spec().clone();
+    let (envs, o) = (4, spec.obs_dim());
+    let config =
+        HppoConfig { envs, steps_per_round: n, batch: n, hidden: vec![16, 8], adam: adam(), ..HppoConfig::default() };
+    let mut learner = Hppo::new(&config, &spec, seeds)?;
+    let (mut chosen, mut actions) = (Vec::new(), vec![0.0; envs * spec.action_dim()]);
+    for _ in 0..n / envs {
+        let (obs, next_obs) = (random(rng, envs * o), random(rng, envs * o));
+        let by = Explorer { env_steps: 0, choose: &mut *rng, noise: &mut *noise };
+        learner.explore(&obs, envs, by, &mut chosen, &mut actions);
+        for (obs, next_obs) in obs.chunks(o).zip(next_obs.chunks(o)) {
+            let (terminated, truncated) = (rng.random_bool(0.2), rng.random_bool(0.2));
+            let reward = rng.random_range(-1.0..1.0);
+            learner.observe(&Observed { obs, reward, next_obs, terminated, truncated });
+        }
+    }
+    // Some rows of the past are moved away, so that ratios leave their bounds.
+    learner.rollout.log.iter_mut().flatten().for_each(|log| *log += rng.random_range(-0.5..0.5));
+    // The running deviation is that of before the pass: 1 at the start.
+    let pass = learner.pass();
+    let before = networks(&mut learner);
+    let mut report = Report::new();
+    let rollout = learner.rollout.clone();
+    learner.update_on(&pass, &(0..n).collect::<Vec<_>>(), &mut report);
+    let flags = |flags: &[bool]| flags.iter().map(|&f| f32::from(u8::from(f))).collect::<Vec<_>>();
+    let wide = |values: &[f32]| array(values, &[n, values.len() / n]);
+    let one = |values: &[f32]| array(values, &[n]);
+    let kinds: Vec<f32> = rollout.kinds.iter().map(|&k| k as f32).collect();
+    Ok(json!({
+        "algorithm": "hppo",
+        "name": format!("hppo, {env}, batch {n}"),
+        "settings": {
+            "hidden": config.hidden,
+            "envs": envs,
+            "deviation": 1.0,
+            "sigma": config.sigma,
+            "gamma": config.gamma,
+            "gae_lambda": config.gae_lambda,
+            "clip": config.clip,
+            "value_clip": config.value_clip,
+            "value_weight": config.value_weight,
+            "entropy_weight": config.entropy_weight,
+            "learning_rate": adam().learning_rate,
+            "epsilon": adam().epsilon,
+        },
+        "batch": {
+            "obs": wide(&rollout.obs),
+            "next_obs": wide(&rollout.next_obs),
+            "x": wide(&rollout.x),
+            "log": wide(rollout.log.as_flattened()),
+            "kinds": one(&kinds),
+            "rewards": one(&rollout.rewards),
+            "goes_on": one(&flags(&rollout.goes_on)),
+            "ends": one(&flags(&rollout.ends)),
+            "advantages": one(&pass.advantages),
+            "returns": one(&pass.returns),
+            "values": one(&pass.values),
+        },
+        "before": before,
+        "report": report_json(&report),
+        "after": networks(&mut learner),
+    }))
+}
+
 fn main() -> anyhow::Result<()> {
     let mut cases = Vec::new();
     // A batch in one part, and one that is computed in two.
     for n in [12, 140] {
         cases.extend([td3(n)?, dqn(n, HeadLayout::Flat)?, dqn(n, HeadLayout::Decoupled)?]);
+        cases.extend([pdqn(n, "moving", None)?, pdqn(n, "moving", Some(-2.0))?, pdqn(n, "hard-move-4", Some(0.0))?]);
+        cases.extend([hppo(n, "moving")?, hppo(n, "hard-move-4")?]);
     }
     println!("{}", json!({ "cases": cases }));
     Ok(())

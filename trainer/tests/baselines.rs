@@ -9,7 +9,9 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use gadm_trainer::algo::dqn::{DqnConfig, TargetUpdate};
+use gadm_trainer::algo::hppo::HppoConfig;
 use gadm_trainer::algo::listed::{DqnClusterConfig, DqnManualConfig, HeadLayout};
+use gadm_trainer::algo::pdqn::{MpdqnConfig, PdqnConfig};
 use gadm_trainer::algo::td3::Td3Config;
 use gadm_trainer::config::{Algorithm, Layer, Schedule, TrainConfig, resolve::resolve, to_toml};
 use gadm_trainer::nn::AdamConfig;
@@ -61,6 +63,20 @@ fn clusters() -> Algorithm {
     Algorithm::DqnCluster(own)
 }
 
+fn pdqn() -> PdqnConfig {
+    let schedule = Schedule { envs: 2, steps_per_round: 8, updates: 6, batch: 32, capacity: 300, random_steps: 20 };
+    PdqnConfig { schedule, hidden: vec![16, 8], q_block: 2, x_block: 2, ..PdqnConfig::default() }
+}
+
+fn mpdqn() -> Algorithm {
+    Algorithm::Mpdqn(MpdqnConfig { pdqn: pdqn(), ..MpdqnConfig::default() })
+}
+
+fn hppo() -> Algorithm {
+    let hidden = vec![16, 8];
+    Algorithm::Hppo(HppoConfig { envs: 2, steps_per_round: 32, epochs: 2, batch: 16, hidden, ..HppoConfig::default() })
+}
+
 /// One of each algorithm, with an environment.
 fn every_baseline() -> Vec<TrainConfig> {
     vec![
@@ -68,6 +84,10 @@ fn every_baseline() -> Vec<TrainConfig> {
         small("moving", manual(HeadLayout::Auto)),
         small("hard-move-4", manual(HeadLayout::Decoupled)),
         small("pendulum", clusters()),
+        small("moving", Algorithm::Pdqn(pdqn())),
+        small("moving", mpdqn()),
+        small("hard-move-4", mpdqn()),
+        small("moving", hppo()),
     ]
 }
 

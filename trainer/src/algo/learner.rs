@@ -32,7 +32,22 @@ pub struct Explorer<'a> {
 /// Metrics of one update: names from [`crate::metrics::keys`] with their values.
 pub type Report = Vec<(&'static str, f32)>;
 
-/// A baseline: networks that learn from batches of a replay buffer.
+/// A step of one environment, as it turned out.
+#[derive(Clone, Copy, Debug)]
+pub struct Observed<'a> {
+    /// Observation that was acted on.
+    pub obs: &'a [f32],
+    /// Reward.
+    pub reward: f64,
+    /// Successor, before any reset.
+    pub next_obs: &'a [f32],
+    /// Ended by the environment's own rules.
+    pub terminated: bool,
+    /// Cut by an outer limit.
+    pub truncated: bool,
+}
+
+/// A baseline: networks that learn from batches of a replay buffer, or from the steps of a round.
 pub trait Learner: Actor {
     /// Reads what the algorithm needs besides its configuration; once, before the first step of a run, not when it is resumed.
     ///
@@ -55,6 +70,18 @@ pub trait Learner: Actor {
 
     /// One update on a batch; fills `report`.
     fn update(&mut self, batch: &RlBatch, noise: &mut Rng, report: &mut Report);
+
+    /// Whether the algorithm learns from its own steps, round by round, and not from a replay buffer.
+    fn on_policy(&self) -> bool {
+        false
+    }
+
+    /// A step that [`explore`](Self::explore) chose, environment by environment; for algorithms that are on-policy.
+    fn observe(&mut self, _step: &Observed) {}
+
+    /// All updates of a round, for algorithms that are on-policy. `updated` gets the report of each, and ends the round with
+    /// `false`.
+    fn learn(&mut self, _rng: &mut Rng, _updated: &mut dyn FnMut(&Report) -> bool) {}
 
     /// ε after that many environment steps, where the algorithm has one.
     fn epsilon(&self, _env_steps: u64) -> Option<f64> {

@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::algo::hppo::HppoConfig;
 use crate::algo::listed::{DqnClusterConfig, DqnManualConfig};
+use crate::algo::pdqn::{MpdqnConfig, PdqnConfig};
 use crate::algo::td3::Td3Config;
 use crate::error::TrainError;
 
@@ -19,6 +21,12 @@ pub enum Algorithm {
     DqnManual(DqnManualConfig),
     /// Double DQN on the centres of an expert's actions (specification 8.7).
     DqnCluster(DqnClusterConfig),
+    /// PDQN (Xiong et al. 2018).
+    Pdqn(PdqnConfig),
+    /// Multi-pass PDQN (Bester et al. 2019).
+    Mpdqn(MpdqnConfig),
+    /// PPO with types and arguments (Fan et al. 2019).
+    Hppo(HppoConfig),
 }
 
 /// Name of an algorithm, as `algo` holds it.
@@ -34,6 +42,12 @@ pub enum AlgorithmName {
     DqnManual,
     /// [`Algorithm::DqnCluster`].
     DqnCluster,
+    /// [`Algorithm::Pdqn`].
+    Pdqn,
+    /// [`Algorithm::Mpdqn`].
+    Mpdqn,
+    /// [`Algorithm::Hppo`].
+    Hppo,
 }
 
 impl AlgorithmName {
@@ -44,6 +58,9 @@ impl AlgorithmName {
             Self::Td3 => "td3",
             Self::DqnManual => "dqn-manual",
             Self::DqnCluster => "dqn-cluster",
+            Self::Pdqn => "pdqn",
+            Self::Mpdqn => "mpdqn",
+            Self::Hppo => "hppo",
         }
     }
 }
@@ -54,6 +71,9 @@ pub const ALGORITHMS: &[(&str, &str)] = &[
     ("td3", "TD3 (continuous actions)"),
     ("dqn-manual", "double DQN on hand-made bins (any action space)"),
     ("dqn-cluster", "double DQN on the centres of an expert's actions (continuous actions)"),
+    ("pdqn", "PDQN (types or switches with arguments)"),
+    ("mpdqn", "multi-pass PDQN (types or switches with arguments)"),
+    ("hppo", "PPO (types or switches with arguments)"),
 ];
 
 impl Algorithm {
@@ -64,6 +84,9 @@ impl Algorithm {
             Self::Td3(_) => AlgorithmName::Td3,
             Self::DqnManual(_) => AlgorithmName::DqnManual,
             Self::DqnCluster(_) => AlgorithmName::DqnCluster,
+            Self::Pdqn(_) => AlgorithmName::Pdqn,
+            Self::Mpdqn(_) => AlgorithmName::Mpdqn,
+            Self::Hppo(_) => AlgorithmName::Hppo,
         }
     }
 
@@ -77,6 +100,9 @@ impl Algorithm {
             Self::Td3(config) => config.validate(),
             Self::DqnManual(config) => config.validate(),
             Self::DqnCluster(config) => config.validate(),
+            Self::Pdqn(config) => config.validate("pdqn"),
+            Self::Mpdqn(config) => config.validate(),
+            Self::Hppo(config) => config.validate(),
         }
     }
 }

@@ -8,7 +8,9 @@ use super::{
     WarmupConfig,
 };
 use crate::algo::dqn::DqnConfig;
+use crate::algo::hppo::HppoConfig;
 use crate::algo::listed::{DqnClusterConfig, DqnManualConfig};
+use crate::algo::pdqn::{MpdqnConfig, PdqnConfig};
 use crate::algo::td3::Td3Config;
 use crate::discretizer::gadm::{ActionModelConfig, ConfidenceConfig};
 
@@ -43,6 +45,12 @@ pub struct Stored {
     dqn_manual: Option<DqnManualConfig>,
     #[serde(skip_serializing_if = "Option::is_none")]
     dqn_cluster: Option<DqnClusterConfig>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pdqn: Option<PdqnConfig>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    mpdqn: Option<MpdqnConfig>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    hppo: Option<HppoConfig>,
     track: TrackConfig,
 }
 
@@ -67,6 +75,9 @@ impl Default for Stored {
             td3: None,
             dqn_manual: None,
             dqn_cluster: None,
+            pdqn: None,
+            mpdqn: None,
+            hppo: None,
             track,
         }
     }
@@ -90,6 +101,9 @@ impl From<TrainConfig> for Stored {
             Algorithm::Td3(own) => stored.td3 = Some(own),
             Algorithm::DqnManual(own) => stored.dqn_manual = Some(own),
             Algorithm::DqnCluster(own) => stored.dqn_cluster = Some(own),
+            Algorithm::Pdqn(own) => stored.pdqn = Some(own),
+            Algorithm::Mpdqn(own) => stored.mpdqn = Some(own),
+            Algorithm::Hppo(own) => stored.hppo = Some(own),
         }
         stored
     }
@@ -98,7 +112,7 @@ impl From<TrainConfig> for Stored {
 impl Stored {
     /// Names of the tables that are there and belong to an algorithm, with that algorithm.
     fn tables(&self) -> impl Iterator<Item = (&'static str, AlgorithmName)> {
-        use AlgorithmName::{DqnCluster, DqnManual, GadmDqn, Td3};
+        use AlgorithmName::{DqnCluster, DqnManual, GadmDqn, Hppo, Mpdqn, Pdqn, Td3};
         [
             ("collect", self.collect.is_some(), GadmDqn),
             ("warmup", self.warmup.is_some(), GadmDqn),
@@ -111,6 +125,9 @@ impl Stored {
             ("td3", self.td3.is_some(), Td3),
             ("dqn_manual", self.dqn_manual.is_some(), DqnManual),
             ("dqn_cluster", self.dqn_cluster.is_some(), DqnCluster),
+            ("pdqn", self.pdqn.is_some(), Pdqn),
+            ("mpdqn", self.mpdqn.is_some(), Mpdqn),
+            ("hppo", self.hppo.is_some(), Hppo),
         ]
         .into_iter()
         .filter_map(|(name, there, algo)| there.then_some((name, algo)))
@@ -131,6 +148,9 @@ impl TryFrom<Stored> for TrainConfig {
             AlgorithmName::Td3 => Algorithm::Td3(s.td3.unwrap_or_default()),
             AlgorithmName::DqnManual => Algorithm::DqnManual(s.dqn_manual.unwrap_or_default()),
             AlgorithmName::DqnCluster => Algorithm::DqnCluster(s.dqn_cluster.unwrap_or_default()),
+            AlgorithmName::Pdqn => Algorithm::Pdqn(s.pdqn.unwrap_or_default()),
+            AlgorithmName::Mpdqn => Algorithm::Mpdqn(s.mpdqn.unwrap_or_default()),
+            AlgorithmName::Hppo => Algorithm::Hppo(s.hppo.unwrap_or_default()),
         };
         Ok(Self {
             env,

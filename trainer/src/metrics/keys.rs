@@ -56,8 +56,9 @@ keys! {
         MASK_FALLBACK = "mask_fallback", "fraction", "Share of decisions for which the mask allowed no latent and the most confident one was taken.";
         REPLAY_SIZE = "replay_size", "transitions", "Transitions in the replay buffer.";
         REWARD_LOSS = "reward_loss", "nat", "Loss of a learned model's reward prediction.";
-        VALUE_LOSS = "value_loss", "nat", "Loss of a learned model's value prediction.";
-        POLICY_LOSS = "policy_loss", "nat", "Loss of a policy prediction.";
+        VALUE_LOSS = "value_loss", "nat", "Loss of a value prediction, of a learned model or of an actor's critic.";
+        POLICY_LOSS = "policy_loss", "nat, or return", "Loss of a policy: of its prediction, its ratio, or minus the value of its actions.";
+        POLICY_ENTROPY = "policy_entropy", "nat", "Mean entropy of a stochastic policy's discrete choice.";
     }
     timing {
         WALL_S = "wall_s", "s", "Wall-clock time since the start of the run, pauses between resumptions excluded.";

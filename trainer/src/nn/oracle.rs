@@ -30,6 +30,7 @@ impl Graph {
                     (*y, if *relu { value.relu()? } else { value })
                 }
                 Op::Mul { a, b, y } => (*y, (get(&values, *a) * get(&values, *b))?),
+                Op::Concat { a, b, y } => (*y, Tensor::cat(&[get(&values, *a), get(&values, *b)], 1)?),
                 Op::Film { x, scale, shift, y, relu } => {
                     let value = (((get(&values, *scale) + 1.0)? * get(&values, *x))? + get(&values, *shift))?;
                     (*y, if *relu { value.relu()? } else { value })
@@ -78,7 +79,7 @@ mod tests {
     ) -> (Graph, [Slot; 2], Slot) {
         let mut dense = |name: &str, i, o| declare_dense(layout, name, i, o, Init::torch(i));
         let (wa, ws, wg, wb) = (dense("a", act, h), dense("s", obs, h), dense("g", h, h), dense("b", h, h));
-        let (wz, wu, wo) = (dense("z", h, d), dense("u", d, h), dense("o", h, 3));
+        let (wz, wu, wo) = (dense("z", h, d), dense("u", d, h), dense("o", h + d, 3));
         let table = layout.buffer("table", &[k, d], if one_hot { Init::OneHot } else { Init::Uniform(1.0) });
         let (mean, var) = (layout.buffer("mean", &[d], Init::Zero), layout.buffer("var", &[d], Init::Constant(1.0)));
         let mut graph = Graph::new();
@@ -93,7 +94,8 @@ mod tests {
         let q = graph.quantise(z, table, one_hot);
         let u = graph.dense(q, &wu, true);
         let g = graph.mul(u, hs);
-        let out = graph.dense(g, &wo, false);
+        let both = graph.concat(g, z);
+        let out = graph.dense(both, &wo, false);
         (graph, [obs, act], out)
     }
 

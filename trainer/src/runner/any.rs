@@ -72,7 +72,7 @@ pub trait AnyRun {
 pub fn new_run(config: TrainConfig) -> Result<Box<dyn AnyRun>, TrainError> {
     Ok(match config.algo {
         Algorithm::GadmDqn => Box::new(Run::new(config)?),
-        Algorithm::Td3(_) | Algorithm::DqnManual(_) | Algorithm::DqnCluster(_) => Box::new(BaselineRun::new(config)?),
+        _ => Box::new(BaselineRun::new(config)?),
     })
 }
 

@@ -7,9 +7,11 @@ use gadm_envs::{EnvSpec, VecEnv, make_with};
 use super::any::{AnyRun, any_run_fields};
 use super::checkpoint;
 use super::run::{Counters, NotFinite, Streams, Window, finite, push_means, step_environments};
+use crate::algo::hppo::Hppo;
 use crate::algo::listed::{self, Listed};
+use crate::algo::pdqn::Pdqn;
 use crate::algo::td3::Td3;
-use crate::algo::{Actor, Explorer, Learner, Report};
+use crate::algo::{Actor, Explorer, Learner, Observed, Report};
 use crate::config::{Algorithm, Schedule, TrainConfig};
 use crate::error::TrainError;
 use crate::metrics::{Record, keys};
@@ -51,6 +53,9 @@ pub fn learner(config: &TrainConfig, spec: &EnvSpec) -> Result<Box<dyn Learner>,
         Algorithm::GadmDqn => Err(TrainError::config("algo", "a baseline", "gadm-dqn")),
         Algorithm::Td3(own) => Ok(Box::new(Td3::new(own.clone(), spec, seeds)?)),
         Algorithm::DqnManual(own) => listed::manual(own, spec, seeds),
+        Algorithm::Pdqn(own) => Ok(Box::new(Pdqn::single_pass(own, spec, seeds)?)),
+        Algorithm::Hppo(own) => Ok(Box::new(Hppo::new(own, spec, seeds)?)),
+        Algorithm::Mpdqn(own) => Ok(Box::new(Pdqn::multi_pass(own, spec, seeds)?)),
         Algorithm::DqnCluster(own) => Ok(Box::new(Listed::clusters(own, spec, seeds)?)),
     }
 }
@@ -61,6 +66,12 @@ fn plan(algo: &Algorithm) -> (Schedule, usize, f64) {
         Algorithm::GadmDqn => (Schedule::default(), 1, 1.0),
         Algorithm::Td3(c) => (c.schedule.clone(), c.n_step, c.gamma),
         Algorithm::DqnManual(c) => (c.schedule.clone(), c.dqn.n_step, c.dqn.gamma),
+        Algorithm::Pdqn(c) => (c.schedule.clone(), c.n_step, c.gamma),
+        Algorithm::Hppo(c) => {
+            let (envs, steps_per_round) = (c.envs, c.steps_per_round);
+            (Schedule { envs, steps_per_round, updates: 0, batch: 1, capacity: 1, random_steps: 0 }, 1, c.gamma)
+        }
+        Algorithm::Mpdqn(c) => (c.pdqn.schedule.clone(), c.pdqn.n_step, c.pdqn.gamma),
         Algorithm::DqnCluster(c) => (c.schedule.clone(), c.dqn.n_step, c.dqn.gamma),
     }
 }
@@ -112,7 +123,18 @@ impl BaselineRun {
         step_environments(envs, learner.space(), actions, counters, window)?;
         let Self { nsteps, replay, chosen, .. } = self;
         let step = envs.last();
-        for (i, nstep) in nsteps.iter_mut().enumerate() {
+        let on_policy = learner.on_policy();
+        for i in (0..n).filter(|_| on_policy) {
+            let row = |v: &'_ [f32]| v[i * width..(i + 1) * width].to_vec();
+            learner.observe(&Observed {
+                obs: &row(&obs),
+                reward: step.rewards[i],
+                next_obs: &row(&step.next_obs),
+                terminated: step.terminated[i],
+                truncated: step.truncated[i],
+            });
+        }
+        for (i, nstep) in nsteps.iter_mut().enumerate().filter(|_| !on_policy) {
             let (end, code) = ((step.terminated[i], step.truncated[i]), chosen.get(i).copied().unwrap_or(0));
             let row = |v: &'_ [f32], width: usize| v[i * width..(i + 1) * width].to_vec();
             let (o, a, next) = (row(&obs, width), row(actions, slots), row(&step.next_obs, width));
@@ -136,8 +158,25 @@ impl BaselineRun {
         Ok(())
     }
 
+    /// The updates of an on-policy round.
+    fn learn(&mut self) -> Result<(), NotFinite> {
+        let Self { learner, streams, window, counters, .. } = self;
+        let mut bad = None;
+        learner.learn(&mut streams.sample_rl, &mut |report| {
+            bad = report.iter().find(|(_, value)| !value.is_finite()).map(|(key, _)| *key);
+            counters.q_updates += 1;
+            for &(key, value) in report {
+                window.add(key, f64::from(value));
+            }
+            bad.is_none()
+        });
+        bad.map_or(Ok(()), |what| Err(NotFinite { what, arrays: Vec::new() }))
+    }
+
     fn updates(&mut self) -> Result<(), NotFinite> {
-        if self.replay.len() < self.schedule.batch {
+        if self.learner.on_policy() {
+            self.learn()?;
+        } else if self.replay.len() < self.schedule.batch {
             return Ok(());
         }
         for _ in 0..self.schedule.updates {
@@ -175,7 +214,9 @@ impl AnyRun for BaselineRun {
         if let Some(epsilon) = self.learner.epsilon(self.counters.env_steps) {
             record.push(keys::EPSILON, epsilon);
         }
-        record.push(keys::REPLAY_SIZE, self.replay.len() as f64);
+        if !self.learner.on_policy() {
+            record.push(keys::REPLAY_SIZE, self.replay.len() as f64);
+        }
         let means = [
             keys::EPISODE_RETURN,
             keys::EPISODE_LENGTH,
@@ -184,6 +225,7 @@ impl AnyRun for BaselineRun {
             keys::GRAD_NORM,
             keys::POLICY_LOSS,
             keys::VALUE_LOSS,
+            keys::POLICY_ENTROPY,
         ];
         push_means(&mut record, &self.window, &means);
         self.window = Window::default();

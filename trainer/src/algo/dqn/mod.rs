@@ -1,7 +1,7 @@
 //! Masked double DQN with n-step targets and an ensemble of dueling heads (specification 4.1 to 4.3; paper eq. 5 and 6).
 
 mod config;
-mod head;
+pub mod head;
 
 pub use config::{DqnConfig, TargetUpdate};
 

@@ -110,6 +110,26 @@ impl Graph {
                         }
                     }
                 }
+                Op::Concat { a, b, y } => {
+                    if ws.given[*y] == Given::Nothing {
+                        continue;
+                    }
+                    let dy = std::mem::take(&mut ws.grad[*y]);
+                    let width = self.widths[*y];
+                    for (slot, from) in [(*a, 0), (*b, self.widths[*a])] {
+                        if !self.needs_grad[slot] {
+                            continue;
+                        }
+                        let add = std::mem::replace(&mut ws.given[slot], Given::Plain) != Given::Nothing;
+                        let w = self.widths[slot];
+                        for (to, dy) in ws.grad[slot].chunks_exact_mut(w).zip(dy.chunks_exact(width)).take(batch) {
+                            for (t, g) in to.iter_mut().zip(&dy[from..from + w]) {
+                                *t = if add { *t + g } else { *g };
+                            }
+                        }
+                    }
+                    ws.grad[*y] = dy;
+                }
                 Op::Film { x, scale, shift, y, relu } => {
                     if ws.given[*y] == Given::Nothing {
                         continue;

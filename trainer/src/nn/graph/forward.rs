@@ -80,6 +80,16 @@ impl Graph {
                     vectorised(|()| out[..n].iter_mut().zip(a).zip(b).for_each(|((o, a), b)| *o = a * b), ());
                     ws.act[*y] = out;
                 }
+                Op::Concat { a, b, y } => {
+                    let mut out = std::mem::take(&mut ws.act[*y]);
+                    let (wa, wb) = (self.widths[*a], self.widths[*b]);
+                    let sources = ws.act[*a].chunks_exact(wa).zip(ws.act[*b].chunks_exact(wb));
+                    for (to, (a, b)) in out.chunks_exact_mut(wa + wb).zip(sources).take(batch) {
+                        to[..wa].copy_from_slice(a);
+                        to[wa..].copy_from_slice(b);
+                    }
+                    ws.act[*y] = out;
+                }
                 Op::Film { x, scale, shift, y, relu } => {
                     let mut out = std::mem::take(&mut ws.act[*y]);
                     let floor = if *relu { 0.0 } else { f32::NEG_INFINITY };

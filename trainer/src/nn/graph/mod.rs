@@ -30,6 +30,8 @@ pub(super) enum Op {
     Dense { x: usize, y: usize, w: Range<usize>, b: Range<usize>, relu: bool, lookup: bool },
     /// `y = a ⊙ b`.
     Mul { a: usize, b: usize, y: usize },
+    /// `y = [a | b]`, row by row.
+    Concat { a: usize, b: usize, y: usize },
     /// `y = (1 + scale) ⊙ x + shift`, then ReLU where `relu`.
     Film { x: usize, scale: usize, shift: usize, y: usize, relu: bool },
     /// `y = gain (x - mean) / sqrt(var + eps)` per column, over the batch in training and with running statistics else.
@@ -113,6 +115,13 @@ impl Graph {
         assert!(a != b && self.needs_grad[a.0] && self.needs_grad[b.0], "product of two computed values");
         let y = self.slot(self.widths[a.0], true);
         self.ops.push(Op::Mul { a: a.0, b: b.0, y: y.0 });
+        y
+    }
+
+    /// Both values side by side: `[a | b]`.
+    pub fn concat(&mut self, a: Slot, b: Slot) -> Slot {
+        let y = self.slot(self.widths[a.0] + self.widths[b.0], self.needs_grad[a.0] || self.needs_grad[b.0]);
+        self.ops.push(Op::Concat { a: a.0, b: b.0, y: y.0 });
         y
     }
 

@@ -158,6 +158,11 @@ impl Workspace {
         &mut self.grad[slot.0]
     }
 
+    /// The memory of a gradient, for a loss over several outputs of a row: to be taken and put back, whole.
+    pub fn grad_vec(&mut self, slot: Slot) -> &mut Vec<f32> {
+        &mut self.grad[slot.0]
+    }
+
     /// Gradient of a value after [`Graph::backward`].
     pub fn grad(&self, slot: Slot) -> &[f32] {
         &self.grad[slot.0]
