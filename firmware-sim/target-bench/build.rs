@@ -16,7 +16,7 @@ mod digest;
 mod support;
 
 use digest::Digest;
-use support::{Rng, Shape, continuous, model, observations};
+use support::{Rng, Shape, continuous, model, observations, share_trunk};
 
 /// Observations a policy is asked on the target: drawn from the calibration, and beyond it.
 const ASKED: usize = 96;
@@ -77,6 +77,8 @@ fn models() -> Vec<(&'static str, FloatModel)> {
     last.weight.fill(0.0);
     last.bias.fill(0.25);
     vec![
+        ("step_shared", share_trunk(10, step.clone(), &[])),
+        ("small_shared", share_trunk(11, mixed.clone(), &[18])),
         ("step", step),
         ("q", plain(2, 11, &[256, 256, 128], None, 64)),
         ("q_confidence", plain(2, 11, &[256, 256, 128], Some(&[256, 256]), 64)),

@@ -113,6 +113,12 @@ impl<'a> FloatPolicy<'a> {
         self.image.threshold().map(|threshold| (threshold.num, threshold.den))
     }
 
+    /// Whether the confidence network reads the Q-network's last hidden layer instead of the observation.
+    #[must_use]
+    pub fn shared_trunk(&self) -> bool {
+        self.image.shared_trunk()
+    }
+
     /// One control step: observation in the units of the interface, action in the units of the interface.
     ///
     /// # Errors
@@ -196,7 +202,13 @@ impl<'a> FloatPolicy<'a> {
             Some(threshold) => {
                 let net = self.image.net(Section::Confidence);
                 let confidence = rest.get_mut(..latents).unwrap_or_default();
-                run(&net, None, input, first, second, confidence);
+                let (x, from, to) = match self.image.shared_trunk().then_some(self.image.net(Section::Q).layers.len()) {
+                    None => (input, &mut *first, &mut *second),
+                    // One hidden layer at most, so no second buffer is needed.
+                    Some(layers) if layers.is_multiple_of(2) => (&*second, <&mut [_]>::default(), &mut *first),
+                    Some(_) => (&*first, <&mut [_]>::default(), &mut *second),
+                };
+                run(&net, None, x, from, to, confidence);
                 allowed(threshold, confidence)
             }
         };
@@ -253,6 +265,7 @@ fn affine(layer: &Layer<'_>, x: &[f32], y: &mut [f32]) {
     DVectorViewMut::from_slice(y, rows).gemv_tr(1.0, &transposed, &DVectorView::from_slice(x, cols), 1.0);
 }
 
+/// One network; `out` takes the logits. The first hidden layer goes to `second`, the next to `first`, and so on.
 fn run(
     net: &Net<'_>,
     modulation: Option<&[f32]>,

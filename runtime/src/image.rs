@@ -2,8 +2,8 @@
 
 use crate::fields::{f32_at, slice_at, slice_of, u16_at, u32_at, u64_at};
 use crate::interface::{ACTION_LEN, INTERFACE_HEAD, InterfaceView, OBSERVATION_LEN};
-use crate::net::{Decoder, HEAD_LEN, LAYER_LEN, NET_HEAD, Net, Threshold};
-use crate::schema::{HEADER_LEN, Header, PolicySpec, Section, TRAILER_HEAD, WeightKind};
+use crate::net::{Decoder, HEAD_LEN, LAYER_LEN, Layer, NET_HEAD, Net, Threshold};
+use crate::schema::{HEADER_LEN, Header, PolicySpec, RUNTIME_ABI_SHARED_TRUNK, Section, TRAILER_HEAD, WeightKind};
 
 /// Bytes before the first input record.
 pub(crate) const INPUT_HEAD: usize = 16;
@@ -103,6 +103,18 @@ impl<'a> Image<'a> {
             _ => decoder,
         };
         Net { file: self.file, layers }
+    }
+
+    /// The confidence network reads the Q-network's last hidden layer, not the observation.
+    pub(crate) fn shared_trunk(&self) -> bool {
+        self.word(40) == RUNTIME_ABI_SHARED_TRUNK
+    }
+
+    /// The Q-network's last hidden layer, where the confidence network reads it.
+    pub(crate) fn trunk(&self) -> Option<Layer<'a>> {
+        let net = self.net(Section::Q);
+        let hidden = net.layers.len().checked_sub(2).filter(|_| self.shared_trunk())?;
+        net.layer(hidden)
     }
 
     /// Fraction bits of the logits of a network or decoder, in log2 units.

@@ -17,7 +17,7 @@ use crate::quant::INPUT_BITS;
 use crate::reader::{Reader, short};
 use crate::schema::{
     FORMAT_VERSION, HEADER_LEN, IMAGE_ALIGN, MAGIC, MAX_ACTIONS, MAX_OBS, MAX_SELF_TESTS, MAX_TYPES, NUMERICS_VERSION,
-    RUNTIME_ABI, SECTION_ALIGN, Section, TABLE_LEN, WeightKind, padded,
+    RUNTIME_ABI, RUNTIME_ABI_SEPARATE, SECTION_ALIGN, Section, TABLE_LEN, WeightKind, padded,
 };
 use crate::scratch::{scratch_words, scratch_words_float};
 
@@ -40,7 +40,7 @@ fn check(reader: &mut Reader<'_>, kind: WeightKind) {
     interface(reader);
     input(reader);
     check_net(reader, kind, Section::Q);
-    let confidence = !reader.image.section(Section::Confidence).is_empty();
+    let confidence = !reader.image.section(Section::Confidence).is_empty() || reader.image.shared_trunk();
     if confidence {
         check_net(reader, kind, Section::Confidence);
     }
@@ -82,7 +82,10 @@ fn header(reader: &mut Reader<'_>, kind: WeightKind) {
         return reader.fail(LoadError::HeaderChecksum { expected, found });
     }
     let (format, numerics, runtime_abi) = (half(8), half(10), word(40));
-    if format != FORMAT_VERSION || numerics != NUMERICS_VERSION || runtime_abi != RUNTIME_ABI {
+    if format != FORMAT_VERSION
+        || numerics != NUMERICS_VERSION
+        || !(RUNTIME_ABI_SEPARATE..=RUNTIME_ABI).contains(&runtime_abi)
+    {
         return reader.fail(LoadError::Version { format, numerics, runtime_abi });
     }
     let found = half(44);

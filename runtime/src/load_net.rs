@@ -5,11 +5,12 @@ use crate::interface::{ACTION_LEN, action_head};
 use crate::kernels::block_len;
 use crate::net::{
     DECODER_MODULATED, DECODER_TABLE, ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, ENCODING_TYPES, HEAD_LEN,
-    LAYER_LEN, LINEAR_BITS, NET_HEAD, SNAP_ANY,
+    LAYER_LEN, LINEAR_BITS, NET_HEAD, READS_Q_HIDDEN, SNAP_ANY,
 };
 use crate::reader::{Reader, short, word};
 use crate::schema::{
-    MAX_ATOMS, MAX_BETA_DEN, MAX_HEAD_ROWS, MAX_LATENTS, MAX_LAYERS, MAX_WIDTH, Section, WeightKind, padded,
+    MAX_ATOMS, MAX_BETA_DEN, MAX_HEAD_ROWS, MAX_LATENTS, MAX_LAYERS, MAX_LAYERS_ON_TRUNK, MAX_WIDTH, Section,
+    WeightKind, padded,
 };
 use crate::space::ActionHead;
 
@@ -20,7 +21,8 @@ pub(crate) const MAX_FRAC_BITS: u16 = 24;
 #[inline(never)]
 pub(crate) fn check_net(reader: &mut Reader<'_>, kind: WeightKind, section: Section) {
     reader.enter(section);
-    let count = reader.u16(1, MAX_LAYERS);
+    let shared = section == Section::Confidence && reader.image.shared_trunk();
+    let count = reader.u16(1, if shared { MAX_LAYERS_ON_TRUNK } else { MAX_LAYERS });
     frac_bits(reader, kind);
     // Positive.
     reader.number(f32::from_bits(1), f32::MAX);
@@ -38,7 +40,12 @@ pub(crate) fn check_net(reader: &mut Reader<'_>, kind: WeightKind, section: Sect
         reader.swap();
         (latents, latents)
     };
-    let rows = check_layers(reader, kind, count, outputs, 0);
+    let mut inputs = (usize::from(reader.image.spec.obs_dim), 0);
+    if shared {
+        // Without a hidden layer there is no trunk: a width of 0 fits no record.
+        inputs = (reader.image.trunk().map_or(0, |layer| layer.rows.into()), READS_Q_HIDDEN.into());
+    }
+    let rows = check_layers(reader, kind, count, inputs, outputs, 0);
     reader.image.spec.num_latents = short(rows);
     reader.swap();
     reader.end();
@@ -49,19 +56,20 @@ fn frac_bits(reader: &mut Reader<'_>, kind: WeightKind) {
     reader.u16(0, if kind == WeightKind::Int8 { MAX_FRAC_BITS.into() } else { 0 });
 }
 
-/// The records of `count` layers and their streams, which follow `between` bytes after the records. Leaves `at` after the
+/// The records of `count` layers and their streams; `inputs` is the width and the code of what the first one reads. The streams follow `between` bytes after the records. Leaves `at` after the
 /// records and `far` after the streams; returns the rows of the last layer.
 #[inline(never)]
 fn check_layers(
     reader: &mut Reader<'_>,
     kind: WeightKind,
     count: usize,
+    inputs: (usize, usize),
     outputs: (usize, usize),
     between: usize,
 ) -> usize {
     let records_end = count.wrapping_mul(LAYER_LEN).wrapping_add(reader.at);
     reader.far = padded(records_end.wrapping_add(between), 16);
-    let mut width = usize::from(reader.image.spec.obs_dim);
+    let (mut width, mut reads) = inputs;
     let mut left = count;
     while left > 0 {
         left = left.wrapping_sub(1);
@@ -74,7 +82,8 @@ fn check_layers(
             reader.at = reader.at.wrapping_sub(2);
             reader.u16(10, 10);
         }
-        reader.zeros(2);
+        reader.u16(reads, reads);
+        reads = 0;
         let len = match kind {
             // Between the records of a decoder and its streams are the heads.
             WeightKind::Int8 => {
@@ -131,7 +140,8 @@ pub(crate) fn check_decoder(reader: &mut Reader<'_>, kind: WeightKind) -> usize 
     let table_at = reader.at;
     reader.take(8);
     let heads_len = slots.wrapping_mul(HEAD_LEN);
-    let outputs = check_layers(reader, kind, count, (1, MAX_HEAD_ROWS), heads_len);
+    let inputs = (usize::from(reader.image.spec.obs_dim), 0);
+    let outputs = check_layers(reader, kind, count, inputs, (1, MAX_HEAD_ROWS), heads_len);
     let last = reader.at.wrapping_sub(LAYER_LEN);
     let rows = check_heads(reader, actions);
     reader.pad();

@@ -11,6 +11,9 @@ pub(crate) const HEAD_LEN: usize = 4;
 /// `out_bits` of a linear layer.
 pub(crate) const LINEAR_BITS: u16 = 32;
 
+/// What the first layer of a network reads, in the last field of its record: this, or 0 for the observation.
+pub(crate) const READS_Q_HIDDEN: u16 = 1;
+
 /// Codes of the decoder kinds.
 pub(crate) const DECODER_MODULATED: u16 = 0;
 pub(crate) const DECODER_TABLE: u16 = 1;

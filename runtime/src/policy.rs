@@ -143,6 +143,12 @@ impl<'a> Policy<'a> {
         self.image.threshold().map(|threshold| (threshold.num, threshold.den))
     }
 
+    /// Whether the confidence network reads the Q-network's last hidden layer instead of the observation.
+    #[must_use]
+    pub fn shared_trunk(&self) -> bool {
+        self.image.shared_trunk()
+    }
+
     /// Value of one unit of [`Decision::q`].
     #[must_use]
     pub fn q_scale(&self) -> f32 {
@@ -269,9 +275,10 @@ impl<'a> Policy<'a> {
         let mut work = self.divide(scratch)?;
         let latents = usize::from(self.image.spec.num_latents);
         let second = padded(latents, 4);
-        run(&self.image.net(Section::Q), None, &mut work, 0);
+        run(&self.image.net(Section::Q), None, &mut work, 0, None);
         let (allowed, fallback) = if let Some(threshold) = self.image.threshold() {
-            run(&self.image.net(Section::Confidence), None, &mut work, second);
+            let trunk = self.image.shared_trunk().then_some(self.image.net(Section::Q).layers.len());
+            run(&self.image.net(Section::Confidence), None, &mut work, second, trunk);
             let rule = MaskRule {
                 num: threshold.num,
                 den: threshold.den,
@@ -285,7 +292,7 @@ impl<'a> Policy<'a> {
         let actions = self.image.actions();
         match self.image.decoder() {
             Decoder::Modulated { net, modulation, heads } => {
-                run(&net, Some(latent_table(&net, modulation, latent)), &mut work, 0);
+                run(&net, Some(latent_table(&net, modulation, latent)), &mut work, 0, None);
                 let frac_bits = self.image.frac_bits(Section::Decoder);
                 emit_heads(heads, actions, frac_bits, work.logits, sink);
             }
@@ -317,12 +324,19 @@ fn part(words: &mut [u32], at: usize, len: usize) -> &mut [u32] {
     words.get_mut(at..at.wrapping_add(len)).unwrap_or_default()
 }
 
-/// One network; the logits of its last layer go to `at` in `work.logits`, rows padded to 4.
+/// One network; the logits of its last layer go to `at` in `work.logits`, rows padded to 4. With `trunk` it reads what a network
+/// of so many layers has left of its last hidden one: its first hidden layer went to the second buffer, the next to the first.
 #[inline(never)]
-fn run(net: &Net<'_>, modulation: Option<&[u8]>, work: &mut Work, at: usize) {
+fn run(net: &Net<'_>, modulation: Option<&[u8]>, work: &mut Work, at: usize, trunk: Option<usize>) {
     let mut modulation = modulation;
     let mut input = Some(&*work.input);
     let (mut from, mut to) = (&mut *work.first, &mut *work.second);
+    if let Some(layers) = trunk {
+        input = None;
+        if layers.is_multiple_of(2) {
+            core::mem::swap(&mut from, &mut to);
+        }
+    }
     for Layer { rows, cols, bits, stream } in net.layers() {
         let rows = padded(rows.into(), 4);
         let x = input.take().unwrap_or(from);

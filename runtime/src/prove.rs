@@ -52,6 +52,11 @@ pub(crate) fn prove(reader: &mut Reader<'_>) {
         let at = if section == Section::Decoder { reader.start.wrapping_add(8) } else { usize::MAX };
         let mut table = slice_at(net.file, at);
         let mut range = input;
+        if section == Section::Confidence
+            && let Some(trunk) = reader.image.trunk()
+        {
+            range = Range::activation(trunk.bits);
+        }
         reader.layer = 0;
         while let Some(layer) = net.layer(reader.layer.into()) {
             rows(reader, &layer, range, table);

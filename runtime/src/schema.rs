@@ -7,8 +7,13 @@
 pub const FORMAT_VERSION: u16 = 1;
 /// Version of the integer arithmetic: same file, same observation, same bits out.
 pub const NUMERICS_VERSION: u16 = 1;
-/// Version of what a file may ask of the runtime beyond the two above.
-pub const RUNTIME_ABI: u32 = 1;
+/// Newest of the versions of what a file may ask of the runtime beyond the two above; a file says the oldest that does.
+/// 1: everything but what follows. 2: a confidence network that reads the Q-network's last hidden layer.
+pub const RUNTIME_ABI: u32 = 2;
+/// What a file without a shared trunk asks for.
+pub const RUNTIME_ABI_SEPARATE: u32 = 1;
+/// What a file with a shared trunk asks for.
+pub const RUNTIME_ABI_SHARED_TRUNK: u32 = 2;
 
 /// First eight bytes of a policy file. The high bit, the CR LF pair and the end-of-file byte make damage by a text-mode
 /// transfer visible, as in PNG.
@@ -34,6 +39,8 @@ pub const MAX_LATENTS: usize = 256;
 pub const MAX_WIDTH: usize = 1024;
 /// Largest number of layers of one network.
 pub const MAX_LAYERS: usize = 8;
+/// Largest number of layers of a confidence network on the Q-network's trunk: one buffer of a step holds the trunk.
+pub const MAX_LAYERS_ON_TRUNK: usize = 2;
 /// Largest number of atoms of a categorical head.
 pub const MAX_ATOMS: usize = 64;
 /// Largest number of types of a discrete head.

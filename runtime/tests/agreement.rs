@@ -5,10 +5,11 @@
 mod support;
 
 use gadm_runtime::encode::{
-    AlignedImage, FileOptions, FloatDecoder, FloatModel, QuantiseOptions, QuantiseReport, quantise, write_int8,
+    AlignedImage, FileOptions, FloatDecoder, FloatModel, QuantiseOptions, QuantiseReport, QuantisedModel, quantise,
+    write_int8,
 };
 use gadm_runtime::{ActionHead, Policy, Scratch};
-use support::{Rng, dense_uniform, hopper, observations};
+use support::{Rng, dense_uniform, hopper, observations, share_trunk};
 
 /// What 2,000 observations of the calibrated distribution show.
 #[derive(Debug)]
@@ -70,6 +71,41 @@ fn gaussian_networks_of_the_hopper_size() {
         // A probability close to 0.9 may snap on one side only: a jump of at most 0.1, here of some 0.02.
         assert!(measured.largest <= 0.05, "{measured:?}");
         assert!(measured.report.layers.iter().all(|layer| layer.out_bits != 8), "{measured:?}");
+    }
+}
+
+/// The confidence network on the Q-network's last hidden layer, whose rows the exporter has put into another order.
+#[test]
+fn shared_trunks_of_the_hopper_size() {
+    for (seed, hidden) in [(1, &[][..]), (2, &[64])] {
+        let measured = measure(&share_trunk(seed + 20, hopper(seed), hidden));
+        assert!(measured.latents >= 0.97, "{measured:?}");
+        assert!(measured.mask >= 0.995, "{measured:?}");
+        assert!(measured.rms <= 0.002, "{measured:?}");
+    }
+}
+
+/// The float model of an int8 file computes what the file does, but for rounding and clamping of activations.
+#[test]
+fn dequantised_files_take_the_steps_of_the_file() {
+    for model in [hopper(9), share_trunk(29, hopper(9), &[])] {
+        let calibration = observations(100, &model, 1000);
+        let quantised = quantise(&model, &calibration, &QuantiseOptions::default()).unwrap();
+        let bytes = write_int8(&quantised, &calibration[..44], &FileOptions::default()).unwrap();
+        let image = AlignedImage::new(&bytes);
+        let policy = Policy::load(&image).unwrap();
+        let float = QuantisedModel::read(&policy).dequantised();
+        let mut memory = vec![0; policy.spec().scratch_words];
+        let (mut expected, mut found) = ([0.0; 3], [0.0; 3]);
+        let (mut same, mut far) = (0, 0);
+        for obs in observations(200, &model, 500).chunks(11) {
+            let int = policy.act(obs, &mut Scratch::new(&mut memory), &mut expected).unwrap();
+            if float.act(obs, &mut found).latent == int.latent {
+                same += 1;
+                far += usize::from(expected.iter().zip(&found).any(|(x, y)| (x - y).abs() > 0.02));
+            }
+        }
+        assert!(same >= 485 && far <= 5, "{same} of 500 latents, {far} actions more than 0.02 off");
     }
 }
 

@@ -10,7 +10,7 @@ use gadm_runtime::encode::{
 };
 use gadm_runtime::{ActError, ActionHead, LoadError, Policy, Scratch, Section, SelfTestError, WeightKind};
 use proptest::prelude::*;
-use support::{Rng, Shape, continuous, model, observations};
+use support::{Rng, Shape, continuous, model, observations, share_trunk};
 
 /// A small policy with every kind of head.
 fn small() -> FloatModel {
@@ -100,6 +100,62 @@ fn write_load_write_is_the_identity() {
     let policy = Policy::load(&image).unwrap();
     let again = write_int8(&QuantisedModel::read(&policy), &observations(2, &model, 3), &options).unwrap();
     assert_eq!(first, again);
+}
+
+/// Where the record of the confidence network's first layer says what it reads.
+fn reads_at(bytes: &[u8]) -> usize {
+    let section = u32::from_le_bytes(bytes[64 + 3 * 8..][..4].try_into().unwrap()) as usize;
+    section + 16 + 6
+}
+
+#[test]
+fn a_confidence_network_on_the_q_networks_trunk() {
+    for hidden in [&[][..], &[7]] {
+        let model = share_trunk(4, small(), hidden);
+        let bytes = written(&model);
+        let image = AlignedImage::new(&bytes);
+        let policy = Policy::load(&image).unwrap();
+        assert!(policy.shared_trunk());
+        assert_eq!(policy.header().runtime_abi, 2, "a runtime that does not know it must refuse it");
+        assert_eq!(policy.layers().nth(2).map(|layer| (layer.network, layer.cols)), Some((Section::Confidence, 10)));
+        let options = FileOptions { policy_seq: 42, trailer: vec![TrailerRecord { kind: 900, data: vec![1, 2, 3] }] };
+        let again = write_int8(&QuantisedModel::read(&policy), &observations(2, &model, 3), &options).unwrap();
+        assert_eq!(bytes, again);
+        // The file and the header must agree on what the first layer reads.
+        let at = reads_at(&bytes);
+        assert_eq!(bytes[at..at + 2], [1, 0]);
+        assert!(matches!(changed(&bytes, at, &[0, 0]), LoadError::Field { min: 1, max: 1, found: 0, .. }));
+        assert!(matches!(changed(&bytes, at, &[2, 0]), LoadError::Field { min: 1, max: 1, found: 2, .. }));
+        assert!(matches!(
+            changed(&bytes, 40, &[1]),
+            LoadError::Field { section: Section::Confidence, min: 3, max: 3, found: 10, .. }
+        ));
+    }
+    let separate = written(&small());
+    assert_eq!(Policy::load(&AlignedImage::new(&separate)).unwrap().header().runtime_abi, 1);
+    assert!(matches!(changed(&separate, reads_at(&separate), &[1, 0]), LoadError::Field { max: 0, found: 1, .. }));
+}
+
+#[test]
+fn a_shared_trunk_must_be_there() {
+    let mut model = share_trunk(4, small(), &[]);
+    model.q.remove(0);
+    let error = quantise(&model, &observations(1, &model, 8), &QuantiseOptions::default()).unwrap_err();
+    assert!(error.to_string().contains("columns"), "{error}");
+    model.q[0] = support::dense(&mut Rng(1), 5, 3, 1.0);
+    let error = quantise(&model, &observations(1, &model, 8), &QuantiseOptions::default()).unwrap_err();
+    assert!(error.to_string().contains("shared trunk"), "{error}");
+    let model = share_trunk(4, small(), &[12, 6]);
+    let error = quantise(&model, &observations(1, &model, 8), &QuantiseOptions::default()).unwrap_err();
+    assert!(error.to_string().contains("1..=2"), "{error}");
+    let mut model = small();
+    (model.confidence, model.shared_trunk) = (None, true);
+    let error = quantise(&model, &observations(1, &model, 8), &QuantiseOptions::default()).unwrap_err();
+    assert!(error.to_string().contains("shared trunk"), "{error}");
+    // A file of runtime ABI 2 without a confidence network.
+    model.shared_trunk = false;
+    let error = changed(&written(&model), 40, &[2]);
+    assert!(matches!(error, LoadError::SectionLength { section: Section::Confidence, .. }), "{error}");
 }
 
 #[test]

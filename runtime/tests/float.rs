@@ -4,23 +4,29 @@
 
 mod support;
 
-use gadm_runtime::encode::{AlignedImage, FileOptions, FloatDecoder, reseal, write_float};
+use gadm_runtime::encode::{AlignedImage, FileOptions, FloatDecoder, FloatModel, reseal, write_float};
 use gadm_runtime::{ActError, FloatPolicy, LoadError, Scratch, WeightKind};
-use support::{hopper, observations};
+use support::{hopper, observations, share_trunk};
 
 #[test]
 fn the_float_policy_takes_the_steps_of_the_model() {
-    let model = hopper(1);
-    let bytes = write_float(&model, &observations(2, &model, 4), &FileOptions::default()).unwrap();
+    for model in [hopper(1), share_trunk(7, hopper(1), &[]), share_trunk(8, hopper(1), &[32])] {
+        takes_the_steps(&model);
+    }
+}
+
+fn takes_the_steps(model: &FloatModel) {
+    let bytes = write_float(model, &observations(2, model, 4), &FileOptions::default()).unwrap();
     let image = AlignedImage::new(&bytes);
     let policy = FloatPolicy::load(&image).unwrap();
     assert_eq!(policy.spec().weights, WeightKind::Float32);
     assert_eq!(policy.spec().scratch_words * 4, 2704);
+    assert_eq!(policy.shared_trunk(), model.shared_trunk);
     let mut memory = vec![0; policy.spec().scratch_words];
     policy.self_test(&mut Scratch::new(&mut memory)).unwrap();
     let (mut expected, mut found) = ([0.0; 3], [0.0; 3]);
     let mut same = 0;
-    for obs in observations(3, &model, 500).chunks(11) {
+    for obs in observations(3, model, 500).chunks(11) {
         let reference = model.act(obs, &mut expected);
         let decision = policy.act(obs, &mut Scratch::new(&mut memory), &mut found).unwrap();
         if reference.latent == decision.latent {

@@ -38,7 +38,7 @@ impl Case {
 include!(concat!(env!("OUT_DIR"), "/cases.rs"));
 
 /// All policies.
-pub static CASES: [&Case; 7] = [&STEP, &Q, &Q_CONFIDENCE, &SMALL, &TINY, &MIXED, &EQUAL];
+pub static CASES: [&Case; 9] = [&STEP, &STEP_SHARED, &Q, &Q_CONFIDENCE, &SMALL, &SMALL_SHARED, &TINY, &MIXED, &EQUAL];
 
 /// A panic ends the emulation with a failure.
 #[panic_handler]

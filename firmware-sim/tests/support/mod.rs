@@ -51,6 +51,7 @@ pub fn random_policy(spec: &EnvSpec, seed: u64) -> AlignedImage {
         obs_std: vec![1.0; obs],
         q,
         confidence,
+        shared_trunk: false,
         beta: 1.0 / LATENTS as f32,
         decoder: FloatDecoder::Modulated {
             state,

@@ -3,7 +3,8 @@
 use super::error::EncodeError;
 use super::model::{Dense, FloatDecoder, FloatModel, HeadEncoding, Interface};
 use crate::schema::{
-    MAX_ACTIONS, MAX_ATOMS, MAX_HEAD_ROWS, MAX_LATENTS, MAX_LAYERS, MAX_OBS, MAX_TEXT, MAX_TYPES, MAX_WIDTH,
+    MAX_ACTIONS, MAX_ATOMS, MAX_HEAD_ROWS, MAX_LATENTS, MAX_LAYERS, MAX_LAYERS_ON_TRUNK, MAX_OBS, MAX_TEXT, MAX_TYPES,
+    MAX_WIDTH,
 };
 use crate::space::ActionHead;
 use std::collections::BTreeSet;
@@ -47,7 +48,15 @@ pub(crate) fn check(model: &FloatModel) -> Result<(), EncodeError> {
     let latents = model.num_latents();
     within("latents", 1, MAX_LATENTS, latents)?;
     if let Some(confidence) = &model.confidence {
-        check_chain("confidence network", confidence, obs_dim)?;
+        let trunk = model.q.iter().nth_back(1).map_or(0, |layer| layer.rows);
+        if model.shared_trunk && trunk == 0 {
+            let what = "a shared trunk needs a Q-network with a hidden layer; its layers".into();
+            return Err(EncodeError::Value { what, found: model.q.len() as f64 });
+        }
+        if model.shared_trunk {
+            within("layers of a confidence network on a shared trunk", 1, MAX_LAYERS_ON_TRUNK, confidence.len())?;
+        }
+        check_chain("confidence network", confidence, if model.shared_trunk { trunk } else { obs_dim })?;
         equal("rows of the confidence network", latents, confidence.last().map_or(0, |layer| layer.rows))?;
         if !(model.beta > 0.0 && model.beta < 1.0) {
             return Err(EncodeError::Value {
@@ -55,6 +64,10 @@ pub(crate) fn check(model: &FloatModel) -> Result<(), EncodeError> {
                 found: f64::from(model.beta),
             });
         }
+    }
+    if model.shared_trunk && model.confidence.is_none() {
+        let what = "a shared trunk needs a confidence network; such networks".into();
+        return Err(EncodeError::Value { what, found: 0.0 });
     }
     check_decoder(model, obs_dim, latents)
 }

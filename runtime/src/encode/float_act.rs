@@ -66,11 +66,17 @@ impl FloatModel {
         obs.iter().zip(&self.obs_mean).zip(&self.obs_std).map(|((x, mean), std)| (x - mean) / std).collect()
     }
 
+    /// The Q-network's last hidden layer for a normalised observation.
+    fn trunk(&self, x: &[f32]) -> Vec<f32> {
+        let hidden = self.q.len().saturating_sub(1);
+        self.q.iter().take(hidden).fold(x.to_vec(), |x, layer| relu(linear(layer, &x)))
+    }
+
     /// Allowed latents of a normalised observation, and whether the empty-mask rule made them.
     pub(crate) fn allowed(&self, x: &[f32]) -> (LatentMask, bool) {
         let latents = self.num_latents() as u16;
         let Some(confidence) = &self.confidence else { return (LatentMask::full(latents), false) };
-        let logits = chain(confidence, x);
+        let logits = if self.shared_trunk { chain(confidence, &self.trunk(x)) } else { chain(confidence, x) };
         let (terms, sum) = softmax_terms(&logits);
         let (num, den) = threshold(self.beta, latents);
         let mut mask = LatentMask::empty();

@@ -67,6 +67,8 @@ pub struct QuantisedModel {
     pub(crate) q: IntNet,
     /// Network and threshold.
     pub(crate) confidence: Option<(IntNet, (u32, u32))>,
+    /// The confidence network reads the Q-network's last hidden layer.
+    pub(crate) shared_trunk: bool,
     pub(crate) decoder: IntDecoder,
     pub(crate) heads: Vec<HeadEncoding>,
     /// Where the model comes from; returns measured after quantisation may be put in before writing.

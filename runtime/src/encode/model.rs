@@ -145,6 +145,8 @@ pub struct FloatModel {
     pub q: Vec<Dense>,
     /// Confidence network: ReLU layers, the last one linear with K rows.
     pub confidence: Option<Vec<Dense>>,
+    /// The confidence network reads the Q-network's last hidden layer (after its ReLU) instead of the observation.
+    pub shared_trunk: bool,
     /// Mask threshold in 0..1; 1/K by default.
     pub beta: f32,
     /// Decoder.

@@ -60,11 +60,14 @@ pub fn quantise(
     let clipped_inputs = input.clipped_shares(calibration);
     let mut report = QuantiseReport { input_bits: input.bits, clipped_inputs, layers: Vec::new() };
 
-    let q = chain_net("q", &model.q, &input, &quantised, &mut report, Output::Q)?;
+    let observed = Source::observation(&input, &quantised);
+    let on_trunk = model.confidence.as_ref().filter(|_| model.shared_trunk).and_then(|layers| layers.first());
+    let (q, trunk) = chain_net("q", &model.q, &observed, on_trunk, &mut report, Output::Q)?;
     let confidence = match &model.confidence {
         None => None,
         Some(layers) => {
-            let net = chain_net("confidence", layers, &input, &quantised, &mut report, Output::Log2)?;
+            let source = trunk.filter(|_| model.shared_trunk).unwrap_or(observed);
+            let (net, _) = chain_net("confidence", layers, &source, None, &mut report, Output::Log2)?;
             Some((net, threshold(model.beta, model.num_latents() as u16)))
         }
     };
@@ -80,6 +83,7 @@ pub fn quantise(
         input_bits: input.bits,
         q,
         confidence,
+        shared_trunk: model.shared_trunk,
         decoder,
         heads: if matches!(model.decoder, FloatDecoder::Table { .. }) { vec![] } else { model.heads.clone() },
         provenance: model.provenance.clone(),
@@ -101,7 +105,9 @@ struct Input {
 impl Input {
     fn choose(model: &FloatModel, calibration: &[f32], margin: f32) -> Self {
         let mut firsts: Vec<&Dense> = model.q.first().into_iter().collect();
-        firsts.extend(model.confidence.iter().filter_map(|layers| layers.first()));
+        if !model.shared_trunk {
+            firsts.extend(model.confidence.iter().filter_map(|layers| layers.first()));
+        }
         if let FloatDecoder::Modulated { state, .. } = &model.decoder {
             firsts.push(state);
         }
@@ -193,15 +199,45 @@ struct Stage<'a> {
     modulation: Option<Modulation<'a>>,
 }
 
-fn chain_net(
+/// What the first layer of a network reads, over the calibration set.
+struct Source<'a> {
+    /// The input quantiser, where that is the observation: folded into the layer.
+    input: Option<&'a Input>,
+    /// Real values, one row per observation.
+    samples: Vec<Vec<f32>>,
+    range: Range,
+    /// Value of one step of the integers.
+    scale: f64,
+    /// Mean of the integers (observation) or of the real values (activation), per column.
+    mean: Vec<f64>,
+    /// Order in which the integers lie, where that is not the columns' own.
+    order: Option<Vec<usize>>,
+}
+
+impl<'a> Source<'a> {
+    fn observation(input: &'a Input, quantised: &[Vec<f32>]) -> Self {
+        Self {
+            input: Some(input),
+            samples: quantised.iter().map(|q| input.normalised(q)).collect(),
+            range: Range::input(input.bits),
+            scale: 1.0,
+            mean: Samples::new(input.records.len(), quantised).mean(),
+            order: None,
+        }
+    }
+}
+
+/// Quantises ReLU layers and a linear last one. Returns the network and its last hidden layer as a source for another one,
+/// whose first layer is `also`: the width of the activations suits both.
+fn chain_net<'a>(
     name: &str,
     layers: &[Dense],
-    input: &Input,
-    quantised: &[Vec<f32>],
+    source: &Source<'a>,
+    also: Option<&Dense>,
     report: &mut QuantiseReport,
     output: Output,
-) -> Result<IntNet, EncodeError> {
-    let mut x: Vec<Vec<f32>> = quantised.iter().map(|q| input.normalised(q)).collect();
+) -> Result<(IntNet, Option<Source<'a>>), EncodeError> {
+    let mut x = source.samples.clone();
     let mut stages = vec![];
     for (index, layer) in layers.iter().enumerate() {
         let mut outputs = Samples::default();
@@ -211,7 +247,8 @@ fn chain_net(
         }
         stages.push(Stage { name: format!("{name}.{index}"), layer, outputs, modulation: None });
     }
-    quantise_stages(&stages, input, quantised, report, output)
+    let (net, hidden) = quantise_stages(&stages, source, also, report, output)?;
+    Ok((net, hidden.map(|hidden| Source { samples: x, ..hidden })))
 }
 
 /// The decoder; activations are calibrated with the latent that the float policy takes, and for a part of the
@@ -246,26 +283,27 @@ fn decoder_net(
         stages.push(Stage { name: format!("decoder.{}", index + 1), layer, outputs, modulation: None });
     }
     stages.push(Stage { name: "decoder.head".into(), layer: head, outputs: Samples::default(), modulation: None });
-    quantise_stages(&stages, input, quantised, report, Output::Log2)
+    Ok(quantise_stages(&stages, &Source::observation(input, quantised), None, report, Output::Log2)?.0)
 }
 
-fn quantise_stages(
+/// As [`chain_net`], with the layers prepared; the samples of the returned source are empty.
+fn quantise_stages<'a>(
     stages: &[Stage<'_>],
-    input: &Input,
-    quantised: &[Vec<f32>],
+    source: &Source<'a>,
+    also: Option<&Dense>,
     report: &mut QuantiseReport,
     output: Output,
-) -> Result<IntNet, EncodeError> {
+) -> Result<(IntNet, Option<Source<'a>>), EncodeError> {
     let mut net = IntNet::default();
-    let mut range = Range::input(input.bits);
-    let mut x_scale = 1.0;
-    let mut x_mean = Samples::new(input.records.len(), quantised).mean();
-    let mut columns: Option<Vec<usize>> = None;
+    let mut hidden: Option<Source<'a>> = None;
     for (index, stage) in stages.iter().enumerate() {
-        let mut real = if index == 0 { input.fold(stage.layer) } else { RealLayer::new(stage.layer) };
-        if let Some(order) = &columns {
+        let x = hidden.as_ref().unwrap_or(source);
+        let (range, x_scale) = (x.range, x.scale);
+        let mut real = x.input.map_or_else(|| RealLayer::new(stage.layer), |input| input.fold(stage.layer));
+        let mut x_mean = x.mean.clone();
+        if let Some(order) = &x.order {
             real.permute_columns(order);
-            x_mean = order.iter().map(|&column| x_mean[column]).collect();
+            x_mean = order.iter().map(|&column| x.mean[column]).collect();
         }
         let Some(next) = stages.get(index + 1) else {
             let rows = quantise_rows(&real, range, &x_mean);
@@ -285,7 +323,9 @@ fn quantise_stages(
         real.permute_rows(&order);
         let rows = quantise_rows(&real, range, &x_mean);
         let last = index + 2 == stages.len();
-        let ten = excess(&RealLayer::new(next.layer), Range::activation(10), !last) <= MOST_EXCESS;
+        let readers = core::iter::once(next.layer).chain(also.filter(|_| last));
+        let excess_of = |layer| excess(&RealLayer::new(layer), Range::activation(10), !last);
+        let ten = readers.map(excess_of).fold(0.0, f64::max) <= MOST_EXCESS;
         let bits: u16 = if ten { 10 } else { 8 };
         let top = f64::from((1u32 << bits) - 1);
         let wanted = stage.outputs.best_top(top) / top;
@@ -309,10 +349,14 @@ fn quantise_stages(
             saturated: stage.outputs.share_above(y_scale * top),
         });
         net.layers.push(layer);
-        range = Range::activation(bits);
-        x_scale = y_scale;
-        x_mean = stage.outputs.mean();
-        columns = Some(order);
+        hidden = Some(Source {
+            input: None,
+            samples: vec![],
+            range: Range::activation(bits),
+            scale: y_scale,
+            mean: stage.outputs.mean(),
+            order: Some(order),
+        });
     }
-    Ok(net)
+    Ok((net, hidden))
 }

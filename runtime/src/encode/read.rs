@@ -1,12 +1,15 @@
 //! From a loaded policy back to owned data, so that a file can be written again with other provenance or vectors.
 
 use super::int_model::{IntDecoder, IntLayer, IntNet, QuantiseReport, QuantisedModel};
-use super::model::{ActionSlot, HeadEncoding, Interface, ObservationSlot, ProvenanceOwned, Snap};
+use super::model::{
+    ActionSlot, Dense, FloatDecoder, FloatModel, HeadEncoding, Interface, ObservationSlot, ProvenanceOwned, Snap,
+};
 use crate::fields::i32_at;
 use crate::image::Image;
 use crate::net::{
     Decoder, ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, HEAD_LEN, Layer, SNAP_ANY, SNAP_EDGES,
 };
+use crate::quant::HIDDEN_SHIFT;
 use crate::{Policy, Section};
 use std::vec;
 use std::vec::Vec;
@@ -36,12 +39,95 @@ impl QuantisedModel {
             input_bits: image.input().0,
             q: read_net(image, Section::Q),
             confidence: policy.mask_threshold().map(|threshold| (read_net(image, Section::Confidence), threshold)),
+            shared_trunk: policy.shared_trunk(),
             decoder,
             heads,
             provenance: policy.provenance().into(),
             report: QuantiseReport::default(),
         }
     }
+}
+
+impl QuantisedModel {
+    /// The float model whose weights are those of the integers: what a policy computes, less the rounding of inputs and
+    /// activations and the clamping of activations from above. Hidden layers count in steps of their activations.
+    #[must_use]
+    pub fn dequantised(&self) -> FloatModel {
+        let chain = |net: &IntNet, logit: f64, modulated: bool| -> Vec<Dense> {
+            let last = net.layers.len().saturating_sub(1);
+            let unit = |index| match index {
+                0 if modulated => Unit::Sum,
+                index if index == last => Unit::Logit(logit),
+                _ => Unit::Activation,
+            };
+            net.layers.iter().enumerate().map(|(index, layer)| real_layer(layer, unit(index))).collect()
+        };
+        let log2 = |net: &IntNet| std::f64::consts::LN_2 / f64::from(1u32 << net.frac_bits);
+        let decoder = match &self.decoder {
+            IntDecoder::Table(actions) => FloatDecoder::Table { actions: actions.clone() },
+            IntDecoder::Modulated(net) => {
+                let mut layers = chain(net, log2(net), true);
+                let (head, state) = (layers.pop().unwrap_or_default(), layers.remove(0));
+                let tables = net.layers.first().map_or(&[][..], |layer| &layer.constants);
+                let table = |of: fn((i32, i32)) -> f64| -> Vec<Vec<f32>> {
+                    tables.iter().map(|rows| rows.iter().map(|&row| of(row) as f32).collect()).collect()
+                };
+                let (scale, shift) = (table(|(m, _)| f64::from(m) / HIDDEN_UNIT), table(|(_, p)| hidden_offset(p)));
+                FloatDecoder::Modulated { state, scale, shift, hidden: layers, head }
+            }
+        };
+        let threshold =
+            self.confidence.as_ref().map_or((1, self.q.layers.last().map_or(1, |l| l.rows) as u32), |c| c.1);
+        FloatModel {
+            interface: self.interface.clone(),
+            obs_mean: self.input.iter().map(|(offset, _)| *offset).collect(),
+            obs_std: self.input.iter().map(|(_, scale)| 1.0 / scale).collect(),
+            q: chain(&self.q, f64::from(self.q.scale), false),
+            confidence: self.confidence.as_ref().map(|(net, _)| chain(net, log2(net), false)),
+            shared_trunk: self.shared_trunk,
+            beta: threshold.0 as f32 / threshold.1 as f32,
+            decoder,
+            heads: self.heads.clone(),
+            provenance: self.provenance.clone(),
+        }
+    }
+}
+
+/// `SMMLAR` and the shift of a hidden layer divide by this.
+const HIDDEN_UNIT: f64 = 4_294_967_296.0 * (1u32 << HIDDEN_SHIFT) as f64;
+
+/// Offset of a hidden layer in steps of its outputs; P holds the half step that makes the shift round.
+fn hidden_offset(p: i32) -> f64 {
+    f64::from(p) / f64::from(1u32 << HIDDEN_SHIFT) - 0.5
+}
+
+/// What the outputs of a dequantised layer count.
+#[derive(Clone, Copy)]
+enum Unit {
+    /// Sums of integers: a modulated layer, whose constants are scale and shift.
+    Sum,
+    /// Steps of the activations.
+    Activation,
+    /// Logits, with the value of one integer.
+    Logit(f64),
+}
+
+/// A layer on the integers of the one before.
+fn real_layer(layer: &IntLayer, unit: Unit) -> Dense {
+    let (mut weight, mut bias) = (vec![], vec![]);
+    for (row, weights) in layer.weights.chunks_exact(layer.cols).enumerate() {
+        let (m, p) = layer.constants.first().map_or((0, 0), |rows| rows[row]);
+        let (scale, offset) = match unit {
+            Unit::Sum => (1.0, 0.0),
+            Unit::Activation => (f64::from(m) / HIDDEN_UNIT, hidden_offset(p)),
+            Unit::Logit(value) => (f64::from(m) / 4_294_967_296.0 * value, f64::from(p) * value),
+        };
+        // Sums of an `a` row come as 256 A.
+        let lift = if row % 2 == 0 { 256.0 } else { 1.0 };
+        weight.extend(weights.iter().map(|&w| (f64::from(w) * lift * scale) as f32));
+        bias.push((f64::from(layer.start[row]) * scale + offset) as f32);
+    }
+    Dense { rows: layer.rows, cols: layer.cols, weight, bias }
 }
 
 impl From<crate::Provenance<'_>> for ProvenanceOwned {

@@ -10,11 +10,11 @@ use crate::crc::crc32;
 use crate::interface::{HEAD_BINARY, HEAD_CONTINUOUS, HEAD_DISCRETE, InterfaceView, interface_hash};
 use crate::net::{
     DECODER_MODULATED, DECODER_TABLE, ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, ENCODING_TYPES, NET_HEAD,
-    SNAP_ANY, SNAP_EDGES, SNAP_NONE,
+    READS_Q_HIDDEN, SNAP_ANY, SNAP_EDGES, SNAP_NONE,
 };
 use crate::schema::{
-    FORMAT_VERSION, HEADER_LEN, MAGIC, MAX_SELF_TESTS, NUMERICS_VERSION, RUNTIME_ABI, SECTION_ALIGN, TABLE_LEN,
-    WeightKind,
+    FORMAT_VERSION, HEADER_LEN, MAGIC, MAX_SELF_TESTS, NUMERICS_VERSION, RUNTIME_ABI_SEPARATE,
+    RUNTIME_ABI_SHARED_TRUNK, SECTION_ALIGN, TABLE_LEN, WeightKind,
 };
 use crate::scratch::{scratch_words, scratch_words_float};
 use crate::space::ActionHead;
@@ -221,6 +221,7 @@ struct Parts<'a> {
     input_bits: u16,
     q: PackedNet,
     confidence: Option<(PackedNet, (u32, u32))>,
+    shared_trunk: bool,
     decoder: Option<PackedNet>,
     /// Constants of a table decoder.
     constants: &'a [Vec<f32>],
@@ -244,6 +245,7 @@ fn int8_image(
         input_bits: model.input_bits,
         q: pack_int(&model.q, false),
         confidence: model.confidence.as_ref().map(|(net, threshold)| (pack_int(net, false), *threshold)),
+        shared_trunk: model.shared_trunk,
         decoder,
         constants,
         heads: &model.heads,
@@ -275,6 +277,7 @@ fn float_image(
         input_bits: crate::quant::INPUT_BITS,
         q: pack_float(model.q.iter()),
         confidence: model.confidence.as_ref().map(|layers| (pack_float(layers.iter()), threshold(model.beta, latents))),
+        shared_trunk: model.shared_trunk,
         decoder,
         constants,
         heads: &model.heads,
@@ -306,10 +309,11 @@ fn file(parts: &Parts<'_>, vectors: &[(&[f32], Answer)], options: &FileOptions) 
             out.f32(*scale);
         }
     });
-    section(&mut out, &mut |out| write_net(out, &parts.q, (0, 0)));
+    section(&mut out, &mut |out| write_net(out, &parts.q, 0, (0, 0)));
     section(&mut out, &mut |out| {
         if let Some((net, threshold)) = &parts.confidence {
-            write_net(out, net, *threshold);
+            let reads = if parts.shared_trunk { READS_Q_HIDDEN } else { 0 };
+            write_net(out, net, reads, *threshold);
         }
     });
     section(&mut out, &mut |out| write_decoder(out, parts));
@@ -346,7 +350,8 @@ fn file(parts: &Parts<'_>, vectors: &[(&[f32], Answer)], options: &FileOptions) 
     header.bytes.extend(hash.to_le_bytes());
     header.bytes.extend(options.policy_seq.to_le_bytes());
     header.u32(words(parts));
-    header.bytes.extend(RUNTIME_ABI.to_le_bytes());
+    let runtime_abi = if parts.shared_trunk { RUNTIME_ABI_SHARED_TRUNK } else { RUNTIME_ABI_SEPARATE };
+    header.bytes.extend(runtime_abi.to_le_bytes());
     header.u16(usize::from(parts.kind.code()));
     out.bytes[..header.bytes.len()].copy_from_slice(&header.bytes);
     if let Some(found) = header.too_large {
@@ -424,13 +429,13 @@ fn write_interface(out: &mut Buffer, interface: &Interface) -> u64 {
 }
 
 /// Records of the layers; returns where the place of each stream is to be written.
-fn write_layers(out: &mut Buffer, layers: &[PackedLayer]) -> Vec<usize> {
+fn write_layers(out: &mut Buffer, layers: &[PackedLayer], reads: u16) -> Vec<usize> {
     let mut places = vec![];
-    for layer in layers {
+    for (index, layer) in layers.iter().enumerate() {
         out.u16(layer.rows);
         out.u16(layer.cols);
         out.u16(layer.bits);
-        out.u16(0);
+        out.u16(if index == 0 { usize::from(reads) } else { 0 });
         places.push(out.bytes.len());
         out.zeros(8);
     }
@@ -445,7 +450,7 @@ fn place(out: &mut Buffer, at: usize, bytes: &[u8]) {
     out.bytes.extend(bytes);
 }
 
-fn write_net(out: &mut Buffer, net: &PackedNet, threshold: (u32, u32)) {
+fn write_net(out: &mut Buffer, net: &PackedNet, reads: u16, threshold: (u32, u32)) {
     let start = out.bytes.len();
     out.u16(net.layers.len());
     out.u16(net.frac_bits);
@@ -453,7 +458,7 @@ fn write_net(out: &mut Buffer, net: &PackedNet, threshold: (u32, u32)) {
     out.bytes.extend(threshold.0.to_le_bytes());
     out.bytes.extend(threshold.1.to_le_bytes());
     debug_assert_eq!(out.bytes.len() - start, NET_HEAD);
-    let places = write_layers(out, &net.layers);
+    let places = write_layers(out, &net.layers, reads);
     for (layer, at) in net.layers.iter().zip(places) {
         place(out, at, &layer.stream);
     }
@@ -473,7 +478,7 @@ fn write_decoder(out: &mut Buffer, parts: &Parts<'_>) {
     out.u16(net.frac_bits);
     out.u16(parts.heads.len());
     out.zeros(8);
-    let places = write_layers(out, &net.layers);
+    let places = write_layers(out, &net.layers, 0);
     for (encoding, action) in parts.heads.iter().zip(&parts.interface.actions) {
         let (kind, snap) = match encoding {
             HeadEncoding::Tanh => (ENCODING_TANH, 0),

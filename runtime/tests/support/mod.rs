@@ -120,6 +120,7 @@ pub fn model(seed: u64, shape: &Shape) -> FloatModel {
         obs_std: (0..shape.obs).map(|_| 0.2 + 2.0 * rng.uniform()).collect(),
         q: chain(&mut rng, &widths(shape.q, shape.latents), 1.0),
         confidence: shape.confidence.map(|hidden| chain(&mut rng, &widths(hidden, shape.latents), 2.0)),
+        shared_trunk: false,
         beta: 1.0 / shape.latents as f32,
         decoder: FloatDecoder::Modulated {
             scale: table(&mut rng, 1.0, 0.5),
@@ -131,6 +132,15 @@ pub fn model(seed: u64, shape: &Shape) -> FloatModel {
         heads: shape.heads.clone(),
         provenance: provenance(),
     }
+}
+
+/// The model with a confidence network on the Q-network's last hidden layer; `hidden` are its hidden widths.
+pub fn share_trunk(seed: u64, mut model: FloatModel, hidden: &[usize]) -> FloatModel {
+    let (latents, trunk) = (model.q.last().unwrap().rows, model.q.last().unwrap().cols);
+    let widths: Vec<usize> = core::iter::once(trunk).chain(hidden.iter().copied()).chain([latents]).collect();
+    model.confidence = Some(chain(&mut Rng(seed), &widths, 2.0));
+    model.shared_trunk = true;
+    model
 }
 
 /// Observations as the model's normalisation expects them, row-major.

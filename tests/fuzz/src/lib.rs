@@ -80,7 +80,14 @@ impl Source<'_> {
         let (actions, heads): (Vec<_>, Vec<_>) = (0..count).map(|index| self.slot(index)).unzip();
         let rows = heads.iter().zip(&actions).map(|(head, action)| head.rows(action.head)).sum();
         let q = self.chain(obs, latents);
-        let confidence = (latents > 1 && self.byte() % 3 != 0).then(|| self.chain(obs, latents));
+        let kind = self.byte() % 6;
+        let trunk = q.iter().nth_back(1).map_or(0, |layer: &Dense| layer.rows);
+        let shared_trunk = latents > 1 && kind == 5 && trunk > 0;
+        let mut confidence =
+            (latents > 1 && kind % 3 != 0).then(|| self.chain(if shared_trunk { trunk } else { obs }, latents));
+        if let Some(layers) = confidence.as_mut().filter(|layers| shared_trunk && layers.len() > 2) {
+            *layers = vec![self.dense(latents, trunk)];
+        }
         let decoder = if self.byte().is_multiple_of(4) {
             FloatDecoder::Table { actions: vec![vec![0.0; count]; latents] }
         } else {
@@ -104,6 +111,7 @@ impl Source<'_> {
             obs_std: (0..obs).map(|_| self.number().abs().max(1e-5)).collect(),
             q,
             confidence,
+            shared_trunk,
             beta: (f32::from(self.byte()) + 1.0) / 257.0,
             decoder,
             heads,

@@ -76,6 +76,7 @@ pub fn main(args: &Args) -> anyhow::Result<ExitCode> {
             "scratch_bytes": 4 * spec.scratch_words,
             "macs": spec.macs,
             "mask_threshold": mask,
+            "shared_trunk": policy.shared_trunk(),
             "layers": layers,
             "parts": sizes.iter().map(|(n, b)| json!({ "name": n, "bytes": b })).collect::<Vec<_>>(),
             "self_test": self_test,
@@ -93,6 +94,7 @@ pub fn main(args: &Args) -> anyhow::Result<ExitCode> {
         }))?;
         return Ok(ExitCode::SUCCESS);
     }
+    let trunk = if policy.shared_trunk() { " (read off the Q-network's last hidden layer)" } else { "" };
     let mut text = vec![
         format!(
             "{}: format {}, numerics {}, {} bytes, payload CRC-32 {:08x}",
@@ -127,7 +129,7 @@ pub fn main(args: &Args) -> anyhow::Result<ExitCode> {
         format!(
             "{} latents, mask threshold {}, a decision every {} µs, {} multiply-accumulates, {} bytes of scratch memory",
             spec.num_latents,
-            mask.unwrap_or_else(|| "none".to_owned()),
+            mask.map_or_else(|| "none".to_owned(), |mask| format!("{mask}{trunk}")),
             spec.control_period_us,
             spec.macs,
             4 * spec.scratch_words

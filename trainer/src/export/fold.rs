@@ -18,7 +18,7 @@ pub fn float_model(trained: &mut Trained, spec: &EnvSpec) -> Result<FloatModel, 
     let mut q: Vec<Dense> = layers.iter().map(|layer| dense(&agent.dqn.params, layer)).collect();
     let cols = q.last().map_or(0, |layer| layer.rows);
     q.push(Dense { rows: bias.len(), cols, weight, bias });
-    let masking = agent.masking();
+    let (masking, shared_trunk) = (agent.masking(), agent.shares_trunk());
     let confidence = agent.confidence.as_ref().filter(|_| masking);
     let beta =
         confidence.map_or(1.0 / agent.model.num_latents() as f32, crate::discretizer::gadm::Confidence::threshold);
@@ -49,6 +49,7 @@ pub fn float_model(trained: &mut Trained, spec: &EnvSpec) -> Result<FloatModel, 
         obs_mean: vec![0.0; spec.obs_dim()],
         obs_std: vec![1.0; spec.obs_dim()],
         q,
+        shared_trunk: confidence.is_some() && shared_trunk,
         confidence,
         beta,
         decoder,

@@ -4,7 +4,7 @@ use crate::action_space::ActionSpace;
 use crate::algo::Actor;
 use crate::algo::dqn::{Dqn, DqnMetrics, masked_argmax};
 use crate::config::TrainConfig;
-use crate::discretizer::gadm::{ActionModel, Confidence};
+use crate::discretizer::gadm::{ActionModel, Confidence, Trunk};
 use crate::error::TrainError;
 use crate::replay::RlBatch;
 use crate::seed::SeedTree;
@@ -24,6 +24,7 @@ pub struct Agent {
     /// Updates of the confidence predictor so far; decides when masking starts.
     pub confidence_updates: u64,
     obs_dim: usize,
+    features: Vec<f32>,
     scores: Vec<f32>,
     allowed: Vec<bool>,
     /// Rows since the last reading that fell back, rows in all, latents allowed in all.
@@ -46,16 +47,21 @@ impl Agent {
             rows,
             &mut seeds.stream("init.action-model"),
         )?;
-        let confidence = config.confidence.enabled.then(|| {
-            Confidence::new(config.confidence.clone(), obs_dim, k, rows, &mut seeds.stream("init.confidence"))
-        });
         let dqn = Dqn::new(config.dqn.clone(), obs_dim, k, rows, &mut seeds.stream("init.q"))?;
+        let confidence = config.confidence.enabled.then(|| {
+            let inputs = match config.confidence.trunk {
+                Trunk::Own => obs_dim,
+                Trunk::Shared => dqn.feature_width(),
+            };
+            Confidence::new(config.confidence.clone(), inputs, k, rows, &mut seeds.stream("init.confidence"))
+        });
         Ok(Self {
             model,
             confidence: confidence.transpose()?,
             dqn,
             confidence_updates: 0,
             obs_dim,
+            features: Vec::new(),
             scores: Vec::new(),
             allowed: Vec::new(),
             mask_statistics: (0, 0, 0),
@@ -67,13 +73,39 @@ impl Agent {
         self.confidence.as_ref().is_some_and(|c| self.confidence_updates >= c.config().start_after)
     }
 
-    /// Masks of `batch` observations, `B x K`; empty while masking is off.
+    /// True where the confidence predictor reads the Q-network's last hidden layer.
+    pub fn shares_trunk(&self) -> bool {
+        self.confidence.as_ref().is_some_and(|c| c.config().trunk == Trunk::Shared)
+    }
+
+    /// One update of the confidence predictor on `obs` (`B x obs_dim`) and their latents; returns the mean loss. A shared
+    /// trunk is read as it is now, by the online parameters, and not changed.
+    pub fn update_confidence(&mut self, obs: &[f32], codes: &[u32]) -> f32 {
+        let shared = self.shares_trunk();
+        let Some(confidence) = &mut self.confidence else { return 0.0 };
+        if !shared {
+            return confidence.update(obs, codes);
+        }
+        self.dqn.features(obs, codes.len(), &mut self.features);
+        confidence.update(&self.features, codes)
+    }
+
+    /// Masks of `batch` observations, `B x K`; empty while masking is off. With a shared trunk they come from the online
+    /// Q-network, for targets too: there it is the online network that chooses the successor's latent (double DQN), and the
+    /// mask is a part of that choice.
     pub fn masks(&mut self, obs: &[f32], batch: usize) -> &[bool] {
         self.allowed.clear();
+        let shared = self.shares_trunk();
         if self.masking()
             && let Some(confidence) = &mut self.confidence
         {
-            let fallbacks = confidence.masks(obs, batch, &mut self.scores, &mut self.allowed);
+            let seen = if shared {
+                self.dqn.features(obs, batch, &mut self.features);
+                &self.features
+            } else {
+                obs
+            };
+            let fallbacks = confidence.masks(seen, batch, &mut self.scores, &mut self.allowed);
             self.mask_statistics.0 += fallbacks as u64;
             self.mask_statistics.1 += batch as u64;
             self.mask_statistics.2 += self.allowed.iter().filter(|a| **a).count() as u64;

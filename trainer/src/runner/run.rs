@@ -521,7 +521,7 @@ impl Run {
         self.d_ar.sample(self.config.round.batch, &mut self.streams.sample_ar, &mut self.obs, &mut self.actions);
         let mut codes = std::mem::take(&mut self.codes);
         self.agent.model.encode(&self.obs, &self.actions, &mut codes);
-        let loss = self.agent.confidence.as_mut().map_or(0.0, |c| c.update(&self.obs, &codes));
+        let loss = self.agent.update_confidence(&self.obs, &codes);
         self.codes = codes;
         if !loss.is_finite() {
             return Err(self.bad_pairs("confidence loss"));

@@ -61,6 +61,7 @@ pub fn policy_version(period_us: u32, policy_seq: u32, last: f32) -> Vec<u8> {
         obs_std: vec![1.0; obs],
         q: vec![Dense { rows: latents, cols: obs, weight, bias: vec![0.0; latents] }],
         confidence: None,
+        shared_trunk: false,
         beta: 0.25,
         decoder: FloatDecoder::Table {
             actions: vec![

@@ -192,22 +192,49 @@ impl Dqn {
 
     /// Head-averaged advantages of `batch` observations, `B x K`.
     pub fn advantages(&mut self, obs: &[f32], batch: usize) -> &[f32] {
-        let Self { params, graph, heads, online, parts, scores, obs_dim, latents, .. } = self;
+        let (mut scores, k) = (std::mem::take(&mut self.scores), self.latents);
+        self.read_online(obs, batch, &mut scores[..batch * k], |heads, online, stream, rows, out| {
+            heads.scores(&online.heads, stream, rows, out);
+        });
+        self.scores = scores;
+        &self.scores[..batch * k]
+    }
+
+    /// Width of the last hidden layer of the [`folded`](Self::folded) network.
+    pub fn feature_width(&self) -> usize {
+        self.layers.last().map_or(0, |layer| layer.outputs)
+    }
+
+    /// Last hidden layer of the [`folded`](Self::folded) network for `batch` observations, `B x width`, after its ReLU, by the
+    /// online parameters. What is learned on it leaves the Q-network as it is.
+    pub fn features(&mut self, obs: &[f32], batch: usize, out: &mut Vec<f32>) {
+        out.resize(batch * self.feature_width(), 0.0);
+        self.read_online(obs, batch, out, |_, _, stream, _, out| out.copy_from_slice(&stream[..out.len()]));
+    }
+
+    /// Runs the online network on `batch` observations and has `read` make rows of `out` from rows of the advantage stream.
+    fn read_online(
+        &mut self,
+        obs: &[f32],
+        batch: usize,
+        out: &mut [f32],
+        read: impl Fn(&Heads, &Ready, &[f32], usize, &mut [f32]) + Sync,
+    ) {
+        let Self { params, graph, heads, online, parts, obs_dim, .. } = self;
         online.refresh(graph, heads, params, true);
-        let (k, width, rows) = (*latents, *obs_dim, split(batch));
-        let (first, second) = scores.split_at_mut(rows[0].len() * k);
+        let (width, rows) = (*obs_dim, split(batch));
+        let (first, second) = out.split_at_mut(rows[0].len() * (out.len() / batch.max(1)));
         let [a, b] = &mut parts[..] else { unreachable!("two parts") };
         params.with(|p| {
             let weights = Weights { flat: p, packed: &online.packed };
-            each(&mut [(a, first), (b, second)], &rows, |(part, scores), rows| {
+            each(&mut [(a, first), (b, second)], &rows, |(part, out), rows| {
                 let ws = &mut part.ws_next;
                 ws.value_mut(self.obs)[..rows.len() * width]
                     .copy_from_slice(&obs[rows.start * width..rows.end * width]);
                 graph.forward(weights, ws, rows.len(), false);
-                heads.scores(&online.heads, ws.value(self.advantage), rows.len(), scores);
+                read(heads, online, ws.value(self.advantage), rows.len(), out);
             });
         });
-        &scores[..batch * k]
     }
 
     /// One gradient step. `codes` are the (remapped) latents of the batch's actions; `allowed` the masks of its next

@@ -1,6 +1,8 @@
 //! The latent action confidence predictor: which latents the data contains in a state (paper section 3.3, eq. 3; specification 3).
 
-use super::config::ConfidenceConfig;
+use gadm_runtime::schema::MAX_LAYERS_ON_TRUNK;
+
+use super::config::{ConfidenceConfig, Trunk};
 use crate::error::TrainError;
 use crate::nn::parallel::{PARTS, each, part_rows, split};
 use crate::nn::vector::{exp_sum, max, vectorised};
@@ -98,13 +100,14 @@ pub struct Confidence {
 }
 
 impl Confidence {
-    /// A near-uniform predictor for `latents` codes; `batch` is the largest number of rows per call.
+    /// A near-uniform predictor for `latents` codes; `inputs` is the width of what it reads (of the observation, or of the
+    /// Q-network's last hidden layer), `batch` the largest number of rows per call.
     ///
     /// # Errors
     /// [`TrainError::Config`] for a threshold outside (0, K), a negative focal exponent, an empty layer or a bad step size.
     pub fn new(
         config: ConfidenceConfig,
-        obs_dim: usize,
+        inputs: usize,
         latents: usize,
         batch: usize,
         rng: &mut Rng,
@@ -119,15 +122,22 @@ impl Confidence {
         if !(config.focal_gamma.is_finite() && config.focal_gamma >= 0.0) {
             return Err(TrainError::config("confidence.focal_gamma", "0 or more", config.focal_gamma));
         }
-        if config.hidden.contains(&0) {
-            let found = format!("{:?}", config.hidden);
-            return Err(TrainError::config("confidence.hidden", "widths of at least 1", found));
+        let (hidden, key) = config.widths();
+        if hidden.contains(&0) {
+            return Err(TrainError::config(key, "widths of at least 1", format!("{hidden:?}")));
+        }
+        if config.trunk == Trunk::Shared && hidden.len() >= MAX_LAYERS_ON_TRUNK {
+            return Err(TrainError::config(
+                key,
+                "at most one width: a device has no room for more",
+                format!("{hidden:?}"),
+            ));
         }
         config.adam.validate("confidence.adam")?;
         let mut layout = ParamLayout::new();
-        let mut width = obs_dim;
+        let mut width = inputs;
         let mut layers = Vec::new();
-        for (i, &hidden) in config.hidden.iter().enumerate() {
+        for (i, &hidden) in hidden.iter().enumerate() {
             layers.push(declare_dense(&mut layout, &format!("hidden{i}"), width, hidden, Init::torch(width)));
             width = hidden;
         }
@@ -136,7 +146,7 @@ impl Confidence {
         layers.push(DenseParams { inputs: width, outputs: latents, w, b });
         let params = Params::init(layout, rng)?;
         let mut graph = Graph::new();
-        let obs = graph.input(obs_dim);
+        let obs = graph.input(inputs);
         let last = layers.len() - 1;
         let out = layers.iter().enumerate().fold(obs, |x, (i, layer)| graph.dense(x, layer, i < last));
         let adam = Adam::new(config.adam, params.layout().trainable_len());
@@ -161,7 +171,8 @@ impl Confidence {
         &self.layers
     }
 
-    /// One gradient step of the focal loss on `codes` (one per row of `obs`); returns the mean loss.
+    /// One gradient step of the focal loss on `codes` (one per row of `obs`, which here and below stands for what the
+    /// predictor reads); returns the mean loss.
     pub fn update(&mut self, obs: &[f32], codes: &[u32]) -> f32 {
         let Self { config, latents, params, adam, graph, obs: input, out, packed, parts, .. } = self;
         let (batch, k, gamma) = (codes.len(), *latents, config.focal_gamma as f32);

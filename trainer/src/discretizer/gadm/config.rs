@@ -104,14 +104,29 @@ impl ActionModelConfig {
     }
 }
 
+/// What the confidence predictor reads.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Trunk {
+    /// The observation, through hidden layers of its own (paper section 3.3).
+    #[default]
+    Own,
+    /// The Q-network's last hidden layer, without a gradient into it: a device then computes one trunk instead of two.
+    Shared,
+}
+
 /// The confidence predictor (paper section 3.3; specification 3).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ConfidenceConfig {
     /// Train the predictor and mask latents with it.
     pub enabled: bool,
-    /// Hidden widths.
+    /// What it reads.
+    pub trunk: Trunk,
+    /// Hidden widths with a trunk of its own.
     pub hidden: Vec<usize>,
+    /// Hidden widths on a shared trunk, at most one; empty is one linear layer on the Q-network's last hidden layer.
+    pub shared_hidden: Vec<usize>,
     /// Focal exponent; 0 is cross-entropy.
     pub focal_gamma: f64,
     /// Mask threshold as a multiple of 1/K: a latent is allowed where its confidence exceeds `threshold / K`.
@@ -122,11 +137,23 @@ pub struct ConfidenceConfig {
     pub adam: AdamConfig,
 }
 
+impl ConfidenceConfig {
+    /// Hidden widths between what the predictor reads and its scores, and the key that sets them.
+    pub fn widths(&self) -> (&[usize], &'static str) {
+        match self.trunk {
+            Trunk::Own => (&self.hidden, "confidence.hidden"),
+            Trunk::Shared => (&self.shared_hidden, "confidence.shared_hidden"),
+        }
+    }
+}
+
 impl Default for ConfidenceConfig {
     fn default() -> Self {
         Self {
             enabled: true,
+            trunk: Trunk::Own,
             hidden: vec![256, 256],
+            shared_hidden: Vec::new(),
             focal_gamma: 2.0,
             threshold: 1.0,
             start_after: 2000,

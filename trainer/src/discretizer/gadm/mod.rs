@@ -7,5 +7,5 @@ pub mod loss;
 pub mod model;
 
 pub use confidence::Confidence;
-pub use config::{ActionModelConfig, ConfidenceConfig, Fusion};
+pub use config::{ActionModelConfig, ConfidenceConfig, Fusion, Trunk};
 pub use model::{ActionModel, ActionModelMetrics};
