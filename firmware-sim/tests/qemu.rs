@@ -8,9 +8,10 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use gadm_envs::TimeLimit;
+use gadm_image::{EncodeOptions, Format, PolicyImage};
 use gadm_node::protocol::NodeId;
 use gadm_node::reason::Reason;
-use gadm_node::service::{Heartbeat, Mode, ModeCommand, Page, Request};
+use gadm_node::service::{Heartbeat, Mode, ModeCommand, Page, Request, Tick};
 use gadm_node::slots::SlotState;
 use gadm_node::{Fault, Frame, NodeConfig, State, TimeSource};
 use gadm_runtime::encode::AlignedImage;
@@ -38,10 +39,17 @@ fn board(machine: Machine, variant: &str) -> Board {
     Board { machine, firmware }
 }
 
-/// Frames of one episode of at most `steps` steps.
-fn trace(place: Place, image: &AlignedImage, plant: &str, profile: Profile, steps: u32) -> Vec<(u64, Frame)> {
-    let options = RunOptions { episodes: 1, seed: 11, profile, ..RunOptions::new("policy.bin") };
-    let env = Box::new(TimeLimit::new(gadm_envs::make(plant).unwrap(), steps));
+/// How long a run is: episodes, and the most steps of each.
+#[derive(Clone, Copy)]
+struct Length {
+    episodes: u64,
+    steps: u32,
+}
+
+/// Frames of a run.
+fn trace(place: Place, image: &AlignedImage, plant: &str, profile: Profile, length: Length) -> Vec<(u64, Frame)> {
+    let options = RunOptions { episodes: length.episodes, seed: 11, profile, ..RunOptions::new("policy.bin") };
+    let env = Box::new(TimeLimit::new(gadm_envs::make(plant).unwrap(), length.steps));
     let recorder = Recorder::default();
     let config = NodeConfig { profile, time: TimeSource::Tick, ..NodeConfig::default() };
     let mut scratch = vec![0; Policy::load(image).unwrap().spec().scratch_words];
@@ -52,42 +60,44 @@ fn trace(place: Place, image: &AlignedImage, plant: &str, profile: Profile, step
     recorder.frames()
 }
 
-/// The same run in process and on the board, in both profiles: the same frames at the same times.
-fn equal(machine: Machine, name: &str, plant: &str, steps: u32, at_least: usize) {
+/// The same run in process and on the board, in both profiles: the same frames at the same times, of `periods` control
+/// periods at the least.
+fn equal(machine: Machine, name: &str, plant: &str, length: Length, periods: usize) {
     let image = model(name);
     for profile in Profile::ALL {
-        let here = trace(Place::InProcess, &image, plant, profile, steps);
-        let there = trace(Place::Board(board(machine, "")), &image, plant, profile, steps);
+        let here = trace(Place::InProcess, &image, plant, profile, length);
+        let there = trace(Place::Board(board(machine, "")), &image, plant, profile, length);
         let differs = here.iter().zip(&there).position(|(a, b)| a != b);
         assert_eq!(differs, None, "{machine}, {plant}, {}: frame {differs:?} differs", profile.name());
         assert_eq!(here.len(), there.len());
-        assert!(here.len() > at_least, "{} frames in {plant}", here.len());
+        let ticks = here.iter().filter(|(_, frame)| Tick::parse(frame).is_some()).count();
+        assert!(ticks >= periods, "{ticks} periods in {plant}");
     }
 }
 
 #[test]
 #[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn inverted_pendulum_on_a_cortex_m4_sends_the_frames_of_the_run_in_process() {
-    equal(Machine::Mps2An386, "inverted-pendulum-v5", "inverted-pendulum-v5", 400, 1200);
+    equal(Machine::Mps2An386, "inverted-pendulum-v5", "inverted-pendulum-v5", Length { episodes: 1, steps: 400 }, 400);
 }
 
 #[test]
 #[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn hopper_on_a_cortex_m4_sends_the_frames_of_the_run_in_process() {
-    equal(Machine::Mps2An386, "hopper-v5", "hopper-v5", 300, 900);
+    equal(Machine::Mps2An386, "hopper-v5", "hopper-v5", Length { episodes: 1, steps: 300 }, 300);
 }
 
 #[test]
 #[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn moving_on_a_cortex_m4_sends_the_frames_of_the_run_in_process() {
-    equal(Machine::Mps2An386, "moving", "moving", 300, 150);
+    equal(Machine::Mps2An386, "moving", "moving", Length { episodes: 8, steps: 300 }, 300);
 }
 
 #[test]
 #[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn hopper_on_a_cortex_m7_and_on_an_stm32f405_sends_the_frames_of_the_run_in_process() {
     for machine in [Machine::Mps2An500, Machine::NetduinoPlus2] {
-        equal(machine, "hopper-v5", "hopper-v5", 60, 180);
+        equal(machine, "hopper-v5", "hopper-v5", Length { episodes: 1, steps: 60 }, 60);
     }
 }
 
@@ -189,6 +199,30 @@ fn a_bad_policy_is_refused_and_the_status_frame_says_why() {
         peer.send(Mode { command: ModeCommand::Run, node: 1 }.frame());
         peer.send(Mode { command: ModeCommand::Reset, node: 1 }.frame());
         assert_eq!(peer.heartbeat(State::NoPolicy).fault, fault.code(), "it does not run");
+    }
+}
+
+/// Flashed as `gadm image` packs it: the file says where it goes, and QEMU's loader reads it.
+#[test]
+#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
+fn a_policy_in_an_intel_hex_file_boots_and_runs() {
+    let image = model("inverted-pendulum-v5");
+    let crc = Policy::load(&image).unwrap().header().payload_crc32;
+    let policy = PolicyImage::check(&image).unwrap();
+    for machine in Machine::ALL {
+        let slot = machine.addresses().0;
+        let options = EncodeOptions { address: Some(slot), ..EncodeOptions::default() };
+        let hex = Format::Hex.encode(&policy, &options).unwrap();
+        let mut peer = Peer::connect(&board(machine, ""), &hex, &NodeConfig::default());
+        assert_eq!(peer.heartbeat(State::Ready).fault, Fault::None.code(), "{machine}");
+        assert_eq!(peer.page(Page::PolicyCrc), crc, "{machine}");
+        peer.send(Mode { command: ModeCommand::Run, node: 1 }.frame());
+        peer.heartbeat(State::Run);
+        // The same file for another address leaves the slot erased.
+        let options = EncodeOptions { address: Some(slot + 0x2_0000), ..EncodeOptions::default() };
+        let beside = Format::Hex.encode(&policy, &options).unwrap();
+        let beat = Peer::connect(&board(machine, ""), &beside, &NodeConfig::default()).heartbeat(State::NoPolicy);
+        assert_eq!(beat.value & 0xFF, u32::from(Reason::Erased.code()), "{machine}");
     }
 }
 

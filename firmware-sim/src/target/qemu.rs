@@ -93,7 +93,8 @@ impl Board {
     }
 
     /// Powers the board on with `policy` in slot 0 and `config` as its settings. It waits for the first who connects to its
-    /// UART.
+    /// UART. `policy` is the policy's bytes, or an Intel HEX file (its first byte is a colon), which says itself where it is
+    /// flashed.
     ///
     /// # Errors
     /// [`SimError::Lacking`] without emulator or firmware, [`SimError::Remote`] where the emulator does not come up.
@@ -113,13 +114,13 @@ impl Board {
         let mut command = Command::new(PROGRAM);
         command.args(["-M", self.machine.name(), "-display", "none", "-monitor", "none"]);
         command.args(["-accel", "tcg,thread=single"]).arg("-kernel").arg(&self.firmware);
-        for (name, bytes, address) in
-            [("policy.bin", policy, slot), ("settings.bin", &write_settings(config)[..], settings)]
-        {
+        let (name, place) =
+            if policy.first() == Some(&b':') { ("policy.hex", String::new()) } else { ("policy.bin", raw_at(slot)) };
+        let settings_bytes = write_settings(config);
+        for (name, bytes, place) in [(name, policy, place), ("settings.bin", &settings_bytes[..], raw_at(settings))] {
             let path = folder.0.join(name);
             fs::write(&path, bytes).map_err(|source| SimError::Write { path: path.clone(), source })?;
-            let path = option(&path);
-            command.args(["-device", &format!("loader,file={path},addr={address:#x},force-raw=on")]);
+            command.args(["-device", &format!("loader,file={}{place}", option(&path))]);
         }
         let socket = folder.0.join("uart");
         command.args(["-serial", &format!("unix:{},server=on,wait=on", option(&socket))]);
@@ -150,6 +151,11 @@ impl Board {
         }
         Ok(emulator)
     }
+}
+
+/// Where QEMU's loader puts a file that is only bytes.
+fn raw_at(address: u32) -> String {
+    format!(",addr={address:#x},force-raw=on")
 }
 
 /// A path within an option of QEMU, where commas separate.
