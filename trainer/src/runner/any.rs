@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use super::baseline::BaselineRun;
-use super::run::{Counters, NotFinite, Run, Window};
+use super::bookkeeping::{Counters, NotFinite, Window};
+use super::run::Run;
 use crate::algo::Actor;
 use crate::config::{Algorithm, TrainConfig};
 use crate::error::TrainError;

@@ -5,8 +5,8 @@ use std::path::Path;
 use gadm_envs::{EnvSpec, VecEnv, make_with};
 
 use super::any::{AnyRun, any_run_fields};
+use super::bookkeeping::{Counters, NotFinite, Streams, Window, finite, push_means, step_environments};
 use super::checkpoint;
-use super::run::{Counters, NotFinite, Streams, Window, finite, push_means, step_environments};
 use crate::algo::hppo::Hppo;
 use crate::algo::listed::{self, Listed};
 use crate::algo::pdqn::Pdqn;

@@ -14,7 +14,8 @@ use serde::{Deserialize, Serialize};
 
 use super::agent::Agent;
 use super::any::AnyRun;
-use super::run::{Counters, NotFinite, Run, Streams, Window};
+use super::bookkeeping::{Counters, NotFinite, Streams, Window};
+use super::run::Run;
 use crate::algo::{Actor, Learner};
 use crate::atomic;
 use crate::config::{Algorithm, AlgorithmName, TrainConfig};

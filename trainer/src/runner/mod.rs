@@ -3,6 +3,7 @@
 pub mod agent;
 pub mod any;
 pub mod baseline;
+pub mod bookkeeping;
 pub mod checkpoint;
 pub mod evaluate;
 pub mod origin;

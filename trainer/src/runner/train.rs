@@ -6,10 +6,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use super::any::{AnyRun, new_run};
+use super::bookkeeping::NotFinite;
 use super::checkpoint;
 use super::evaluate::{Evaluation, evaluate};
 use super::progress::{Progress, Snapshot, Style};
-use super::run::NotFinite;
 use crate::atomic;
 use crate::config::{TrainConfig, to_toml};
 use crate::error::TrainError;

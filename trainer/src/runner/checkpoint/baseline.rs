@@ -10,7 +10,7 @@ use crate::config::TrainConfig;
 use crate::error::TrainError;
 use crate::replay::NStep;
 use crate::runner::BaselineRun;
-use crate::runner::run::{Counters, Streams, Window};
+use crate::runner::bookkeeping::{Counters, Streams, Window};
 use gadm_envs::VecEnvState;
 
 #[derive(Serialize, Deserialize)]
