@@ -10,8 +10,10 @@ use gadm_trainer::TrainError;
 use gadm_trainer::action_space::{ActionSpace, ContinuousHead, SnapRule};
 use gadm_trainer::algo::dqn::TargetUpdate;
 use gadm_trainer::config::TrainConfig;
-use gadm_trainer::discretizer::gadm::{ActionModel, codetable::Codetable};
+use gadm_trainer::discretizer::gadm::{ActionModel, Trunk, codetable::Codetable};
+use gadm_trainer::export::float_model;
 use gadm_trainer::metrics::{Record, keys, read_jsonl};
+use gadm_trainer::runner::checkpoint::load_trained;
 use gadm_trainer::runner::{Run, checkpoint, train::evaluation_seed};
 use gadm_trainer::seed::SeedTree;
 use runs::{arrays, last, small, start, write_arrays};
@@ -224,6 +226,42 @@ fn the_mask_decides_what_is_acted() {
     }
 }
 
+/// The predictor on the Q-network's trunk: its updates leave Q as it is, and what is exported is what the agent does.
+#[test]
+fn a_shared_trunk_is_read_and_exported() {
+    for hidden in [vec![], vec![6]] {
+        let mut config = small("moving");
+        config.confidence.trunk = Trunk::Shared;
+        config.confidence.shared_hidden = hidden;
+        let (mut run, record) = trained(config.clone());
+        let size = record.get(keys::MASK_SIZE).unwrap();
+        assert!((1.0..8.0).contains(&size), "{size}");
+        let obs: Vec<f32> = run.d_rl.arrays().1[0][..100 * 10].to_vec();
+        let before = run.agent.dqn.params.with(<[f32]>::to_vec);
+        assert!(run.agent.update_confidence(&obs, &[1; 100]).is_finite());
+        assert_eq!(run.agent.dqn.params.with(<[f32]>::to_vec), before);
+
+        let dir = tempfile::tempdir().unwrap();
+        start(dir.path(), &config).unwrap();
+        let mut stored = load_trained(dir.path(), false).unwrap();
+        let spec = gadm_envs::make("moving").unwrap().spec().clone();
+        let model = float_model(&mut stored, &spec).unwrap();
+        assert!(model.shared_trunk);
+        let agent = stored.agent().unwrap();
+        let (mut codes, mut action) = (Vec::new(), vec![0.0; spec.action_dim()]);
+        agent.greedy(&obs, 100, &mut codes);
+        let masks = agent.masks(&obs, 100).to_vec();
+        let mut same = 0;
+        for ((obs, code), mask) in obs.chunks(10).zip(codes).zip(masks.chunks(8)) {
+            let decision = model.act(obs, &mut action);
+            let alike = (0..8).all(|k| decision.allowed.contains(k) == mask[usize::from(k)]);
+            same += usize::from(u32::from(decision.latent) == code && alike);
+        }
+        // Sums in another order may tip a score over the threshold.
+        assert!(same >= 98, "{same} of 100");
+    }
+}
+
 /// Braking uses neither argument: with the mask there is nothing continuous to reconstruct.
 #[test]
 fn the_argument_mask_leaves_out_what_a_type_does_not_use() {
@@ -376,6 +414,9 @@ fn impossible_settings_are_named() {
             c.action_model.head = ContinuousHead::Categorical { atoms: 1, snap: SnapRule::Edges };
         }),
         ("confidence.hidden", |c| c.confidence.hidden = vec![16, 0]),
+        ("confidence.shared_hidden", |c| {
+            (c.confidence.trunk, c.confidence.shared_hidden) = (Trunk::Shared, vec![4, 4]);
+        }),
         ("confidence.threshold", |c| c.confidence.threshold = 8.0),
         ("confidence.focal_gamma", |c| c.confidence.focal_gamma = f64::NAN),
         ("dqn.hidden", |c| c.dqn.hidden = vec![]),

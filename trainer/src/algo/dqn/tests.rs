@@ -132,3 +132,24 @@ fn the_folded_network_orders_latents_as_the_mean_q() {
         assert!(a.iter().zip(q).all(|(x, y)| ((x - a[0]) - (y - q[0])).abs() < 1e-5));
     }
 }
+
+/// What a confidence predictor on the trunk reads is the last hidden layer of the network that the device runs.
+#[test]
+fn features_are_the_last_hidden_layer_of_the_folded_network() {
+    let (obs_dim, k, b) = (5, 7, 12);
+    let mut rng = SeedTree::new(12).stream("dqn");
+    let config = DqnConfig { hidden: vec![16, 8], heads: 3, ..Default::default() };
+    let mut dqn = Dqn::new(config, obs_dim, k, b, &mut rng).unwrap();
+    let obs = random(&mut rng, b * obs_dim);
+    let mut features = Vec::new();
+    dqn.features(&obs, b, &mut features);
+    assert_eq!(features.len(), b * dqn.feature_width());
+    let (_, weight, bias) = dqn.folded();
+    let scores = dqn.advantages(&obs, b);
+    for (row, scores) in features.chunks(8).zip(scores.chunks(k)) {
+        for ((weight, bias), score) in weight.chunks(8).zip(&bias).zip(scores) {
+            let sum: f32 = weight.iter().zip(row).map(|(w, x)| w * x).sum();
+            assert!((sum + bias - score).abs() < 1e-5, "{} for {score}", sum + bias);
+        }
+    }
+}
