@@ -69,7 +69,7 @@ impl Graph {
     }
 }
 
-/// The weights of a graph in the panels of [`super::kernel`], one pair (forward, backward) per layer.
+/// The weights of a graph in the panels of [`crate::nn::kernel`], one pair (forward, backward) per layer.
 #[derive(Clone, Debug)]
 pub struct Packed {
     /// Of the parameters they were made from; whether for training.
