@@ -1,5 +1,6 @@
-//! The firmware on emulated boards. These need `qemu-system-arm` and the firmware of `firmware-sim/firmware/build.sh --check`;
-//! the stage `firmware` of `.ci/test.py` builds it and runs them (`cargo test -p gadm-sim --test qemu -- --ignored`).
+//! The firmware on emulated boards. These need `qemu-system-arm` and the firmware of `firmware-sim/firmware/build.sh --check`, so
+//! `cargo test` leaves this file out (`test = false` in Cargo.toml) and stage `boards` of `.ci/test.py` names it, after stage
+//! `firmware` has built what it needs: `cargo test -p gadm-sim --test qemu`.
 #![allow(clippy::unwrap_used, reason = "a test may fail loudly")]
 
 mod support;
@@ -76,25 +77,21 @@ fn equal(machine: Machine, name: &str, plant: &str, length: Length, periods: usi
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn inverted_pendulum_on_a_cortex_m4_sends_the_frames_of_the_run_in_process() {
     equal(Machine::Mps2An386, "inverted-pendulum-v5", "inverted-pendulum-v5", Length { episodes: 1, steps: 400 }, 400);
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn hopper_on_a_cortex_m4_sends_the_frames_of_the_run_in_process() {
     equal(Machine::Mps2An386, "hopper-v5", "hopper-v5", Length { episodes: 1, steps: 300 }, 300);
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn moving_on_a_cortex_m4_sends_the_frames_of_the_run_in_process() {
     equal(Machine::Mps2An386, "moving", "moving", Length { episodes: 8, steps: 300 }, 300);
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn hopper_on_a_cortex_m7_and_on_an_stm32f405_sends_the_frames_of_the_run_in_process() {
     for machine in [Machine::Mps2An500, Machine::NetduinoPlus2] {
         equal(machine, "hopper-v5", "hopper-v5", Length { episodes: 1, steps: 60 }, 60);
@@ -156,7 +153,6 @@ fn fix_checksums(image: &mut [u8]) {
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn a_bad_policy_is_refused_and_the_status_frame_says_why() {
     let good = model("inverted-pendulum-v5").to_vec();
     let changed = |f: &dyn Fn(&mut Vec<u8>)| {
@@ -204,7 +200,6 @@ fn a_bad_policy_is_refused_and_the_status_frame_says_why() {
 
 /// Flashed as `gadm image` packs it: the file says where it goes, and QEMU's loader reads it.
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn a_policy_in_an_intel_hex_file_boots_and_runs() {
     let image = model("inverted-pendulum-v5");
     let crc = Policy::load(&image).unwrap().header().payload_crc32;
@@ -227,7 +222,6 @@ fn a_policy_in_an_intel_hex_file_boots_and_runs() {
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn a_hanging_program_is_restarted_by_the_watchdog_and_says_so() {
     let image = model("inverted-pendulum-v5");
     let mut peer = Peer::connect(&board(Machine::Mps2An386, "-hang"), &image, &NodeConfig::default());
@@ -241,7 +235,6 @@ fn a_hanging_program_is_restarted_by_the_watchdog_and_says_so() {
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn with_the_boards_timer_silence_leads_to_safe() {
     let image = model("inverted-pendulum-v5");
     let config = NodeConfig { time: TimeSource::Local, node: NodeId::new(5).unwrap(), ..NodeConfig::default() };
@@ -266,7 +259,6 @@ fn successor(policy: &[u8], by: u32) -> Vec<u8> {
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn a_policy_comes_over_the_bus_and_the_one_before_stays_in_its_slot() {
     let old = model("inverted-pendulum-v5");
     let new = successor(&old, 1);
@@ -293,7 +285,6 @@ fn a_policy_comes_over_the_bus_and_the_one_before_stays_in_its_slot() {
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn the_program_flashes_a_board_over_its_uart() {
     let old = model("inverted-pendulum-v5");
     let folder = tempfile::tempdir().unwrap();
@@ -420,7 +411,6 @@ fn same_decisions(name: &str, plant: &str, count: usize) {
 }
 
 #[test]
-#[ignore = "needs qemu-system-arm and the firmware, which stage `boards` of .ci/test.py has built before it runs this"]
 fn ten_thousand_observations_give_the_same_latents_masks_and_action_bits_on_host_m4_and_m7() {
     same_decisions("inverted-pendulum-v5", "inverted-pendulum-v5", 4000);
     same_decisions("moving", "moving", 3000);

@@ -71,7 +71,7 @@ fn signals(db: &Database) -> impl Iterator<Item = (&DbMessage, &DbSignal)> {
     db.messages.iter().flat_map(|m| m.signals.iter().map(move |s| (m, s)))
 }
 
-/// The word of the DBC format for a message that no one node sends.
+/// The word of the DBC format for a message without a sender of its own, spelt as its readers (cantools, can-dbc, CANdb++) want it.
 const NO_SENDER: &str = "Vector__XXX";
 
 /// The emergency stop comes from anybody, so it has no sender.

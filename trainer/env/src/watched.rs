@@ -1,5 +1,7 @@
 //! Looks on while something drives an environment, for films and reports.
 
+use delegate::delegate;
+
 use crate::render::Scene;
 use crate::{Disturbance, Env, EnvError, EnvSpec, EnvState, Step};
 
@@ -72,20 +74,13 @@ impl<W: Watcher> Env for Watched<W> {
         step
     }
 
-    fn state(&self) -> EnvState {
-        self.inner.state()
-    }
-
-    fn restore(&mut self, state: &EnvState) -> Result<(), EnvError> {
-        self.inner.restore(state)
-    }
-
-    fn scene(&self) -> Option<Scene> {
-        self.inner.scene()
-    }
-
-    fn disturb(&mut self, disturbance: Disturbance) -> Result<(), EnvError> {
-        self.inner.disturb(disturbance)
+    delegate! {
+        to self.inner {
+            fn state(&self) -> EnvState;
+            fn restore(&mut self, state: &EnvState) -> Result<(), EnvError>;
+            fn scene(&self) -> Option<Scene>;
+            fn disturb(&mut self, disturbance: Disturbance) -> Result<(), EnvError>;
+        }
     }
 }
 

@@ -1,5 +1,7 @@
 //! Environments around environments: a step limit, and action numbers without effect.
 
+use delegate::delegate;
+
 use crate::{ArgumentMask, Disturbance, Env, EnvError, EnvSpec, EnvState, Step, render::Scene, task::continuous};
 
 /// Truncates an episode after a number of steps; the observation does not show it.
@@ -57,12 +59,11 @@ impl Env for TimeLimit {
         Ok(())
     }
 
-    fn scene(&self) -> Option<Scene> {
-        self.inner.scene()
-    }
-
-    fn disturb(&mut self, disturbance: Disturbance) -> Result<(), EnvError> {
-        self.inner.disturb(disturbance)
+    delegate! {
+        to self.inner {
+            fn scene(&self) -> Option<Scene>;
+            fn disturb(&mut self, disturbance: Disturbance) -> Result<(), EnvError>;
+        }
     }
 }
 
@@ -108,19 +109,12 @@ impl Env for ExtraDims {
         self.inner.step(&action[..real], obs)
     }
 
-    fn state(&self) -> EnvState {
-        self.inner.state()
-    }
-
-    fn restore(&mut self, state: &EnvState) -> Result<(), EnvError> {
-        self.inner.restore(state)
-    }
-
-    fn scene(&self) -> Option<Scene> {
-        self.inner.scene()
-    }
-
-    fn disturb(&mut self, disturbance: Disturbance) -> Result<(), EnvError> {
-        self.inner.disturb(disturbance)
+    delegate! {
+        to self.inner {
+            fn state(&self) -> EnvState;
+            fn restore(&mut self, state: &EnvState) -> Result<(), EnvError>;
+            fn scene(&self) -> Option<Scene>;
+            fn disturb(&mut self, disturbance: Disturbance) -> Result<(), EnvError>;
+        }
     }
 }

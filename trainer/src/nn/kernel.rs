@@ -132,17 +132,17 @@ impl Product<'_> {
                 let at = Place { column: p * PANEL, columns: (n - p * PANEL).min(PANEL), n };
                 let mut i = start;
                 while i + TILE <= stop {
-                    tile::<S, TILE>(simd, i, TILE, k, left, panel, at, c, end);
+                    tile::<S, TILE>(simd, i, TILE, left, panel, at, c, end);
                     i += TILE;
                 }
                 match stop - i {
                     0 => {}
-                    rows if L::PADDED => tile::<S, TILE>(simd, i, rows, k, left, panel, at, c, end),
-                    1 => tile::<S, 1>(simd, i, 1, k, left, panel, at, c, end),
-                    2 => tile::<S, 2>(simd, i, 2, k, left, panel, at, c, end),
-                    3 => tile::<S, 3>(simd, i, 3, k, left, panel, at, c, end),
-                    4 => tile::<S, 4>(simd, i, 4, k, left, panel, at, c, end),
-                    rows => tile::<S, 5>(simd, i, rows, k, left, panel, at, c, end),
+                    rows if L::PADDED => tile::<S, TILE>(simd, i, rows, left, panel, at, c, end),
+                    1 => tile::<S, 1>(simd, i, 1, left, panel, at, c, end),
+                    2 => tile::<S, 2>(simd, i, 2, left, panel, at, c, end),
+                    3 => tile::<S, 3>(simd, i, 3, left, panel, at, c, end),
+                    4 => tile::<S, 4>(simd, i, 4, left, panel, at, c, end),
+                    rows => tile::<S, 5>(simd, i, rows, left, panel, at, c, end),
                 }
             }
         }
@@ -221,20 +221,19 @@ impl<E: End> End for Gated<'_, E> {
 trait Source: Copy {
     /// Whether rows that are not there may be read.
     const PADDED: bool;
-    /// Sums of `R` rows from `i` on, for the vectors `part` and `part + 1` of the `per` vectors of a panel row.
-    fn sums<S: Simd, const R: usize>(
-        self,
-        simd: S,
-        i: usize,
-        k: usize,
-        panel: &[S::f32s],
-        per: usize,
-        part: usize,
-    ) -> Sums<S, R>;
+    /// Sums of `R` rows from `i` on, for the vectors `part` and `part + 1` of each row of the panel.
+    fn sums<S: Simd, const R: usize>(self, simd: S, i: usize, panel: &[S::f32s], part: usize) -> Sums<S, R>;
 }
 
 /// Two vectors for each row of a tile.
 type Sums<S, const R: usize> = [[<S as Simd>::f32s; 2]; R];
+
+/// Vectors of a row of a panel, and its rows.
+#[inline(always)]
+fn shape<S: Simd>(panel: &[S::f32s]) -> (usize, usize) {
+    let per = PANEL / S::F32_LANES;
+    (per, panel.len() / per)
+}
 
 /// One step of the inner products.
 #[inline(always)]
@@ -255,15 +254,8 @@ impl Source for Rows<'_> {
     const PADDED: bool = false;
 
     #[inline(always)]
-    fn sums<S: Simd, const R: usize>(
-        self,
-        simd: S,
-        i: usize,
-        k: usize,
-        panel: &[S::f32s],
-        per: usize,
-        part: usize,
-    ) -> Sums<S, R> {
+    fn sums<S: Simd, const R: usize>(self, simd: S, i: usize, panel: &[S::f32s], part: usize) -> Sums<S, R> {
+        let (per, k) = shape::<S>(panel);
         let mut sums = [[simd.splat_f32s(0.0); 2]; R];
         let x: [_; R] = std::array::from_fn(|r| self.0[(i + r) * k..][..k].as_chunks::<STEPS>());
         let mut blocks = panel.chunks_exact(STEPS * per);
@@ -284,15 +276,8 @@ impl Source for Groups<'_> {
     const PADDED: bool = true;
 
     #[inline(always)]
-    fn sums<S: Simd, const R: usize>(
-        self,
-        simd: S,
-        i: usize,
-        k: usize,
-        panel: &[S::f32s],
-        per: usize,
-        part: usize,
-    ) -> Sums<S, R> {
+    fn sums<S: Simd, const R: usize>(self, simd: S, i: usize, panel: &[S::f32s], part: usize) -> Sums<S, R> {
+        let (per, k) = shape::<S>(panel);
         let mut sums = [[simd.splat_f32s(0.0); 2]; R];
         let group = &self.0[i * k..][..TILE * k];
         for (a, b) in group.as_chunks::<TILE>().0.iter().zip(panel.chunks_exact(per)) {
@@ -323,7 +308,6 @@ fn tile<S: Simd, const R: usize>(
     simd: S,
     i: usize,
     rows: usize,
-    k: usize,
     left: impl Source,
     panel: &[f32],
     at: Place,
@@ -335,7 +319,7 @@ fn tile<S: Simd, const R: usize>(
     let (panel, _) = S::as_simd_f32s(panel);
     // Two vectors at a time: once round with eight lanes, twice with four.
     for part in (0..per).step_by(2) {
-        let sums: Sums<S, R> = left.sums(simd, i, k, panel, per, part);
+        let sums: Sums<S, R> = left.sums(simd, i, panel, part);
         let column = at.column + part * lanes;
         if at.columns == PANEL && rows == R {
             for (r, sums) in sums.iter().enumerate() {
