@@ -16,12 +16,15 @@ prepare() {
     cp "$here/setup.sh" "$scratch/a project/.ci/"
     cp "$here/../rust-toolchain.toml" "$scratch/a project/"
     stub "$scratch/a project/.ci/mujoco.sh" 'exit 0'
+    stub "$scratch/a project/.ci/cmake.sh" 'exit 0'
     stub "$scratch/a project/.ci/guest.py" 'exit 0'
     stub "$scratch/a project/.ci/python.sh" 'exit 0'
     for tool in sh cat cut dirname grep head mktemp printf rm sed sort tail uname; do
         ln -s "$(command -v "$tool")" "$bin/$tool"
     done
-    stub "$bin/cc" 'exit 0'
+    for tool in cc c++ make; do
+        stub "$bin/$tool" 'exit 0'
+    done
     stub "$bin/qemu-system-arm" 'exit 0'
     stub "$bin/arm-none-eabi-gcc" 'exit 0'
     stub "$bin/qemu-system-x86_64" 'exit 0'
@@ -49,7 +52,7 @@ stub() {
 # expect NAME CODE TEXT: runs the script; its last line on stderr must hold TEXT, and a failure must be one line.
 expect() {
     code=0
-    env -u RUSTUP_TOOLCHAIN -u GADM_CC PATH="$bin" "$scratch/a project/.ci/setup.sh" 2>"$scratch/err" || code=$?
+    env -u RUSTUP_TOOLCHAIN -u GADM_CC -u CXX PATH="$bin" "$scratch/a project/.ci/setup.sh" 2>"$scratch/err" || code=$?
     lines=$(grep -c '' "$scratch/err" || true)
     if [ "$code" != "$2" ] || { [ -n "$3" ] && ! tail -n 1 "$scratch/err" | grep -q "$3"; } || [ "$lines" -gt 2 ]; then
         echo "FAILED: $1 (exit $code): $(cat "$scratch/err")"
@@ -61,6 +64,15 @@ expect() {
 
 prepare && rm "$bin/cc"
 expect "no C compiler" 4 "no C compiler (cc).*apt-get install build-essential"
+
+prepare && rm "$bin/c++"
+expect "no C++ compiler" 4 "no c++, which builds Box2D; install it (Debian: apt-get install build-essential)"
+
+prepare && rm "$bin/make"
+expect "no make" 4 "no make, which builds Box2D.*apt-get install build-essential"
+
+prepare && stub "$scratch/a project/.ci/cmake.sh" 'echo "cmake: pip could not download it" >&2; exit 4'
+expect "no CMake to be had" 4 "cmake: pip could not download it"
 
 prepare && rm "$bin/cargo"
 expect "no cargo" 4 "cargo not found; install Rust from https://rustup.rs"

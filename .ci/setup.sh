@@ -21,8 +21,14 @@ command -v "$cc" >/dev/null 2>&1 ||
 command -v cargo >/dev/null 2>&1 ||
     fail "cargo not found; install Rust from https://rustup.rs, open a new shell and run \`make setup\` again"
 
+for tool in "${CXX:-c++}" make; do
+    command -v "$tool" >/dev/null 2>&1 ||
+        fail "no $tool, which builds Box2D; install it (Debian: apt-get install build-essential) and run \`make setup\` again"
+done
+
 # The scripts say themselves what is wrong with python3 or pip.
 .ci/mujoco.sh
+.ci/cmake.sh
 .ci/python.sh
 
 pinned=$(sed -n 's/^channel *= *"\(.*\)"/\1/p' rust-toolchain.toml)

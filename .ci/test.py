@@ -53,7 +53,7 @@ def stages():
     core = ["-p", "gadm-runtime", "-p", "gadm-node", "--no-default-features"]
     return [
         Stage("fmt", "formatting", [["cargo", "fmt", "--all", "--check"]]),
-        Stage("setup", "error messages of the set-up scripts", [[".ci/setup-test.sh"], [".ci/mujoco-test.sh"]]),
+        Stage("setup", "error messages of the set-up scripts", [[".ci/setup-test.sh"], [".ci/wheel-test.sh"]]),
         Stage(
             "deny",
             "licences, bans and sources of the dependencies (cargo-deny)",
@@ -137,7 +137,7 @@ def stages():
         ),
         Stage(
             "clippy",
-            "lints: workspace, without MuJoCo, single features, device",
+            "lints: workspace, without MuJoCo and Box2D, single features, device",
             [
                 clippy("--workspace", "--all-targets"),
                 clippy("--workspace", "--all-targets", "--no-default-features"),

@@ -22,6 +22,8 @@ mod env;
 mod error;
 pub mod golden;
 mod hybrid;
+#[cfg(feature = "box2d")]
+mod lunar;
 #[cfg(feature = "mujoco")]
 mod mujoco;
 mod registry;

@@ -32,10 +32,11 @@ enum Kind {
     Moving(Motion),
     HardMove(usize),
     Pendulum,
+    Box2d,
     Mujoco,
 }
 
-const REGISTRY: [(&str, Kind); 24] = [
+const REGISTRY: [(&str, Kind); 26] = [
     ("toy-env", Kind::Toy),
     ("moving", Kind::Moving(Motion::Moving)),
     ("sliding", Kind::Moving(Motion::Sliding)),
@@ -47,6 +48,8 @@ const REGISTRY: [(&str, Kind); 24] = [
     ("hard-move-9", Kind::HardMove(9)),
     ("hard-move-10", Kind::HardMove(10)),
     ("pendulum", Kind::Pendulum),
+    ("lunar-lander", Kind::Box2d),
+    ("lunar-lander-continuous", Kind::Box2d),
     ("hopper-v4", Kind::Mujoco),
     ("hopper-v5", Kind::Mujoco),
     ("half-cheetah-v4", Kind::Mujoco),
@@ -104,9 +107,25 @@ pub(crate) fn task(id: &str, toy: ToyOptions) -> Result<Box<dyn Task>, EnvError>
         Some((_, Kind::Moving(motion))) => Ok(Box::new(Moving::new(id, *motion))),
         Some((_, Kind::HardMove(n))) => Ok(Box::new(HardMove::new(id, *n))),
         Some((_, Kind::Pendulum)) => Ok(Box::new(Pendulum::new(id))),
+        Some((_, Kind::Box2d)) => box2d_task(id),
         Some((_, Kind::Mujoco)) => mujoco_task(id),
         None => Err(unknown(id)),
     }
+}
+
+#[cfg(feature = "box2d")]
+fn box2d_task(id: &str) -> Result<Box<dyn Task>, EnvError> {
+    use crate::lunar::lander::{Engines, LunarLander};
+    match id {
+        "lunar-lander" => Ok(Box::new(LunarLander::new(id, Engines::OneAtATime))),
+        "lunar-lander-continuous" => Ok(Box::new(LunarLander::new(id, Engines::Continuous))),
+        _ => Err(unknown(id)),
+    }
+}
+
+#[cfg(not(feature = "box2d"))]
+fn box2d_task(id: &str) -> Result<Box<dyn Task>, EnvError> {
+    Err(EnvError::Feature { id: id.to_owned(), feature: "box2d" })
 }
 
 #[cfg(feature = "mujoco")]

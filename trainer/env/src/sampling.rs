@@ -8,27 +8,53 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 /// The source of one episode's randomness.
-pub(crate) struct EpisodeRng(ChaCha8Rng);
+#[derive(Clone)]
+pub(crate) struct EpisodeRng {
+    #[cfg(feature = "box2d")]
+    seed: u64,
+    rng: ChaCha8Rng,
+    /// Draws to play back instead, from a recording.
+    recorded: Option<std::vec::IntoIter<f64>>,
+}
 
 impl EpisodeRng {
     pub(crate) fn from_seed(seed: u64) -> Self {
-        Self(ChaCha8Rng::seed_from_u64(seed))
+        Self {
+            #[cfg(feature = "box2d")]
+            seed,
+            rng: ChaCha8Rng::seed_from_u64(seed),
+            recorded: None,
+        }
+    }
+
+    /// Plays recorded uniform draws back, whatever range is asked for.
+    pub(crate) fn from_recording(draws: Vec<f64>) -> Self {
+        Self { recorded: Some(draws.into_iter()), ..Self::from_seed(0) }
+    }
+
+    /// The seed it was made from; 0 for a recording.
+    #[cfg(feature = "box2d")]
+    pub(crate) fn seed(&self) -> u64 {
+        self.seed
     }
 
     /// Uniform in `lo..hi`, with 53 random bits.
     pub(crate) fn uniform(&mut self, lo: f64, hi: f64) -> f64 {
-        lo + (hi - lo) * self.0.random::<f64>()
+        match &mut self.recorded {
+            Some(draws) => draws.next().expect("a recording holds every draw: checked when it was read"),
+            None => lo + (hi - lo) * self.rng.random::<f64>(),
+        }
     }
 
     /// Standard normal.
     #[cfg(feature = "mujoco")]
     pub(crate) fn normal(&mut self) -> f64 {
-        self.0.sample(StandardNormal)
+        self.rng.sample(StandardNormal)
     }
 
     /// One of `0..n`.
     pub(crate) fn index(&mut self, n: usize) -> usize {
-        ((self.0.random::<f64>() * n as f64) as usize).min(n - 1)
+        ((self.rng.random::<f64>() * n as f64) as usize).min(n - 1)
     }
 }
 
@@ -50,6 +76,12 @@ mod tests {
             c.index(4);
         }
         assert!(differs);
+    }
+
+    #[test]
+    fn recorded_draws_come_back_in_their_order() {
+        let mut rng = EpisodeRng::from_recording(vec![0.25, -7.0]);
+        assert_eq!((rng.uniform(-1.0, 1.0), rng.uniform(0.0, 1.0)), (0.25, -7.0));
     }
 
     #[cfg(feature = "mujoco")]

@@ -19,6 +19,13 @@ pub(crate) struct Outcome {
 /// A named part of the physical state, as recordings name it, and its length.
 pub(crate) type Field = (&'static str, usize);
 
+/// Random numbers that an episode uses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Draws {
+    pub(crate) at_reset: usize,
+    pub(crate) per_step: usize,
+}
+
 /// Physics, observation, reward and end of one environment, in f64 and without a time limit.
 pub(crate) trait Task: Send {
     /// Everything fixed.
@@ -38,6 +45,17 @@ pub(crate) trait Task: Send {
 
     /// The physical state, in the order of [`fields`](Task::fields).
     fn physical(&self) -> Vec<f64>;
+
+    /// How many numbers a reset and each step draw, for tasks that also draw while they run; a recording of them holds the
+    /// draws, and they start from those instead of being [placed](Task::place).
+    fn draws(&self) -> Option<Draws> {
+        None
+    }
+
+    /// Whether nothing has been touched yet, for tasks whose arithmetic is the reference's only until then.
+    fn before_contact(&self) -> Option<bool> {
+        None
+    }
 
     /// Starts an episode from a physical state. NaN stands for a number that a recording leaves open.
     fn place(&mut self, physical: &[f64]);

@@ -62,6 +62,8 @@ fn specs_are_sound() {
         ("hard-move-4", 10, 8),
         ("hard-move-10", 10, 20),
         ("pendulum", 3, 1),
+        ("lunar-lander", 8, 1),
+        ("lunar-lander-continuous", 8, 2),
         ("hopper-v4", 11, 3),
         ("hopper-v5", 11, 3),
         ("half-cheetah-v4", 17, 6),
@@ -237,6 +239,7 @@ fn an_unknown_id_gets_the_nearest_one() {
         ("InvertedPendulum-v5", "inverted-pendulum-v5"),
         ("HalfCheetah-v4", "half-cheetah-v4"),
         ("Moving-v0", "moving"),
+        ("LunarLanderContinuous-v3", "lunar-lander-continuous"),
         ("hard_move_7", "hard-move-7"),
         ("hopper", "hopper-v4"),
     ] {
@@ -257,10 +260,27 @@ fn without_the_feature_a_mujoco_id_says_what_is_missing() {
     assert!(error.contains("`hopper-v5` needs the cargo feature `mujoco`"), "{error}");
 }
 
+#[cfg(not(feature = "box2d"))]
+#[test]
+fn without_the_feature_a_lander_says_what_is_missing() {
+    let error = make("lunar-lander").err().unwrap().to_string();
+    assert!(error.contains("`lunar-lander` needs the cargo feature `box2d`"), "{error}");
+}
+
 /// One environment of each kind, made once per thread: MuJoCo models take a while to load.
 fn one_of_each() -> Vec<Box<dyn Env>> {
-    let kinds =
-        ["toy-env", "moving", "sliding", "hard-move-5", "pendulum", "hopper-v5", "ant-v5", "inverted-pendulum-v4"];
+    let kinds = [
+        "toy-env",
+        "moving",
+        "sliding",
+        "hard-move-5",
+        "pendulum",
+        "lunar-lander",
+        "lunar-lander-continuous",
+        "hopper-v5",
+        "ant-v5",
+        "inverted-pendulum-v4",
+    ];
     built().into_iter().filter(|id| kinds.contains(id)).map(|id| make(id).unwrap()).collect()
 }
 

@@ -23,6 +23,15 @@ fn recordings() -> Vec<PathBuf> {
     files
 }
 
+/// Whether a feature is in this build.
+fn built(feature: &str) -> bool {
+    match feature {
+        "box2d" => cfg!(feature = "box2d"),
+        "mujoco" => cfg!(feature = "mujoco"),
+        other => panic!("unknown feature {other}"),
+    }
+}
+
 fn row(report: &GoldenReport) -> String {
     let cell = |quantity| report.comparison(quantity).map_or("-".to_owned(), |c| format!("{:.1e}", c.largest));
     format!(
@@ -41,7 +50,7 @@ fn row(report: &GoldenReport) -> String {
 #[test]
 fn all_recordings_replay_within_their_tolerances() {
     let files = recordings();
-    assert_eq!(files.len(), 24, "recordings in {}", folder().display());
+    assert_eq!(files.len(), 26, "recordings in {}", folder().display());
     println!("{:<22} {:>3} {:>5} {:>9} {:>9} {:>9} {:>9}", "", "", "steps", "obs", "reward", "rew. f32", "state");
     let (mut failed, mut left_out, mut seen) = (vec![], vec![], vec![]);
     for path in files {
@@ -53,16 +62,14 @@ fn all_recordings_replay_within_their_tolerances() {
                 }
                 seen.push(report.id);
             }
-            Err(GoldenError::Env { source: gadm_envs::EnvError::Feature { id, .. }, .. })
-                if !cfg!(feature = "mujoco") =>
-            {
+            Err(GoldenError::Env { source: gadm_envs::EnvError::Feature { id, feature }, .. }) if !built(feature) => {
                 left_out.push(id);
             }
             Err(error) => panic!("{error}"),
         }
     }
     if !left_out.is_empty() {
-        println!("left out, because this build has no MuJoCo: {}", left_out.join(", "));
+        println!("left out, because this build has no MuJoCo or Box2D: {}", left_out.join(", "));
     }
     assert!(failed.is_empty(), "{}", failed.join("\n"));
     let mut expected: Vec<_> = gadm_envs::ids().map(str::to_owned).collect();
@@ -78,9 +85,27 @@ fn recordings_replay_from_each_state() {
     for path in recordings() {
         match check_by(&path, Replay::FromEachState) {
             Ok(report) => assert!(report.passed(), "{report:#?}"),
-            Err(GoldenError::Env { .. }) if !cfg!(feature = "mujoco") => {}
+            Err(GoldenError::Env { source: gadm_envs::EnvError::Feature { feature, .. }, .. }) if !built(feature) => {}
             Err(error) => panic!("{error}"),
         }
+    }
+}
+
+/// LunarLander's arithmetic is the reference's until something touches: both recordings are equal bit for bit until then, and
+/// go on in contact.
+#[cfg(feature = "box2d")]
+#[test]
+fn landers_are_equal_bit_for_bit_in_flight() {
+    for name in ["lunar_lander_continuous.json.gz", "lunar_lander.json.gz"] {
+        let report = check_by(&folder().join(name), Replay::FromEachState).unwrap();
+        assert!(report.passed(), "{report:#?}");
+        assert_eq!(report.replay, Replay::WholeRun, "it cannot begin in the middle");
+        let (flight, all) = (report.comparison("before_contact").unwrap(), report.comparison("observation").unwrap());
+        if cfg!(target_arch = "x86_64") {
+            assert_eq!((flight.tolerance, flight.unequal), (0.0, 0));
+        }
+        // 8 numbers of the observation, 31 of the state, and all rewards but that of the reset.
+        assert!(flight.compared > 39 * 300 && all.compared / 8 > flight.compared / 40, "{report:#?}");
     }
 }
 
@@ -122,11 +147,11 @@ fn a_difference_is_found_and_placed() {
 #[test]
 fn a_wrong_file_says_what_is_wrong() {
     type Change = fn(&mut serde_json::Value);
-    let cases: [(&str, Change, &str); 16] = [
+    let cases: [(&str, Change, &str); 19] = [
         ("toy_env.json.gz", |d| d["format"] = 2.into(), "format 2, expected 1"),
         ("toy_env.json.gz", |d| d["env"] = "GoBigger 0.2.x st_t2p2".into(), "out of this crate's scope"),
         ("toy_env.json.gz", |d| d["env"] = "HyAR hard move n=4".into(), "out of this crate's scope"),
-        ("toy_env.json.gz", |d| d["env"] = "LunarLanderContinuous-v3".into(), "it needs Box2D"),
+        ("toy_env.json.gz", |d| d["env"] = "LunarLander-v2".into(), "no environment `lunar-lander-v2`"),
         ("toy_env.json.gz", |d| d["env"] = "Swimmer-v5".into(), "no environment `swimmer-v5`; known: toy-env"),
         ("toy_env.json.gz", |d| d["env"] = "HardMove-v0 n=77".into(), "no environment `hard-move-77`"),
         ("toy_env.json.gz", |d| d["env"] = "Moving-v0".into(), "init state `x`: missing"),
@@ -138,9 +163,23 @@ fn a_wrong_file_says_what_is_wrong() {
         ("toy_env.json.gz", |d| d["trajectories"][1]["states"]["s"][0] = 1e300.into(), "step 1 state `s`"),
         ("moving.json.gz", |d| d["trajectories"][0]["actions"][1] = serde_json::json!([3, []]), "type below 3"),
         ("moving.json.gz", |d| d["trajectories"][0]["actions"][1] = serde_json::json!([0, [1, 2, 3]]), "parameters"),
+        (
+            "lunar_lander.json.gz",
+            |d| d["trajectories"][0]["initial_force"] = ().into(),
+            "expected 16 numbers, found 14",
+        ),
+        ("lunar_lander.json.gz", |d| d["trajectories"][0]["info"] = serde_json::json!({}), "info dispersion: expected"),
+        (
+            "lunar_lander.json.gz",
+            |d| d["trajectories"][0]["info"]["dispersion"][6] = serde_json::json!([0.5]),
+            "step 7 info dispersion: expected 2 numbers, found 1",
+        ),
         ("hard_move_n4.json.gz", |d| d["trajectories"][1]["actions"][0][0] = 16.into(), "index below 2^4"),
     ];
     for (i, (name, change, expected)) in cases.into_iter().enumerate() {
+        if name.starts_with("lunar") && !built("box2d") {
+            continue;
+        }
         let error = changed(name, change).unwrap_err().to_string();
         assert!(error.contains(expected), "case {i}: {error}");
     }

@@ -84,7 +84,7 @@ pub enum GoldenError {
 #[serde(rename_all = "snake_case")]
 pub enum Replay {
     /// Each trajectory from its start to its end. MuJoCo must give equal bits, which needs the processor family and the
-    /// engine build of the recording.
+    /// engine build of the recording. Always so where the recording holds random draws of the steps (LunarLander).
     WholeRun,
     /// From every recorded state two steps, comparing the second one, within 1e-9. For MuJoCo on another processor:
     /// there a difference of 1e-16 grows to order 10 within a run.
@@ -103,7 +103,8 @@ pub struct Place {
 /// The largest difference of one quantity.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// `observation`, `reward`, `reward_f32_actions` or `state`.
+    /// `observation`, `reward`, `reward_f32_actions` or `state`; `before_contact` is all of them up to the first contact of
+    /// LunarLander, where the arithmetic is the reference's.
     pub quantity: &'static str,
     /// Numbers compared.
     pub compared: u64,

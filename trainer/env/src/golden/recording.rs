@@ -11,7 +11,10 @@ use flate2::read::MultiGzDecoder;
 use serde::Deserialize;
 
 use super::GoldenError;
-use crate::{ArgumentMask, EnvSpec, RewardConvention, ToyOptions, task::Task};
+use crate::{
+    ArgumentMask, EnvSpec, RewardConvention, ToyOptions,
+    task::{Draws, Task},
+};
 
 /// Unpacked size that no recording reaches, bytes.
 const MAX_BYTES: u64 = 256 << 20;
@@ -58,6 +61,17 @@ struct RawTrajectory {
     terminated: Vec<bool>,
     truncated: Vec<bool>,
     states: BTreeMap<String, Vec<Numbers>>,
+    #[serde(default)]
+    info: RawInfo,
+    terrain_heights: Option<Vec<f64>>,
+    initial_force: Option<Vec<f64>>,
+    reset_dispersion: Option<Vec<f64>>,
+}
+
+/// Draws of each step, where the reference draws while it runs.
+#[derive(Default, Deserialize)]
+struct RawInfo {
+    dispersion: Option<Vec<Vec<f64>>>,
 }
 
 #[derive(Deserialize)]
@@ -66,12 +80,13 @@ struct RawInit {
     obs: Vec<f64>,
 }
 
-/// One state entry: an array, a number, or null for a number that the reference does not have.
+/// One state entry: an array, a number, a flag, or null for a number that the reference does not have.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Numbers {
     Many(Vec<f64>),
     One(f64),
+    Flag(bool),
     Open(()),
 }
 
@@ -99,6 +114,8 @@ pub(super) struct Trajectory {
     pub(super) time_limit: Option<u64>,
     pub(super) state: Vec<f64>,
     pub(super) obs: Vec<f64>,
+    /// Random draws in the order of their use; none where the task draws only at a reset.
+    pub(super) draws: Vec<f64>,
     pub(super) steps: Vec<RecordedStep>,
 }
 
@@ -107,7 +124,9 @@ pub(super) struct Recording {
     pub(super) reference: String,
     pub(super) id: &'static str,
     pub(super) task: Box<dyn Task>,
-    /// Whether MuJoCo ran on another processor family than this program does.
+    /// Whether the reference ran on another processor family than this program does.
+    pub(super) foreign: bool,
+    /// Whether MuJoCo did.
     pub(super) foreign_mujoco: bool,
     pub(super) trajectories: Vec<Trajectory>,
 }
@@ -130,7 +149,8 @@ pub(super) fn read(path: &Path) -> Result<Recording, GoldenError> {
     let toy = ToyOptions { reward: document.meta.reward_convention.unwrap_or_default(), ..ToyOptions::default() };
     let task = crate::registry::task(id, toy).map_err(|source| GoldenError::Env { path: path.to_owned(), source })?;
     let Versions { machine, mujoco } = document.versions;
-    let foreign_mujoco = mujoco.is_some() && machine.is_some_and(|m| m != std::env::consts::ARCH);
+    let foreign = machine.is_some_and(|m| m != std::env::consts::ARCH);
+    let foreign_mujoco = foreign && mujoco.is_some();
     let content = |(place, message)| GoldenError::Content { path: path.to_owned(), place, message };
     if document.trajectories.is_empty() {
         return Err(content(("trajectories".to_owned(), "expected at least one, found none".to_owned())));
@@ -140,7 +160,7 @@ pub(super) fn read(path: &Path) -> Result<Recording, GoldenError> {
         trajectory(&*task, raw).map_err(|(place, message)| content((format!("{name}: {place}"), message)))
     });
     let trajectories = trajectories.collect::<Result<_, _>>()?;
-    Ok(Recording { reference: head.env, id, task, foreign_mujoco, trajectories })
+    Ok(Recording { reference: head.env, id, task, foreign, foreign_mujoco, trajectories })
 }
 
 fn unpack(path: &Path) -> Result<Vec<u8>, GoldenError> {
@@ -160,8 +180,6 @@ fn not_offered(name: &str) -> Option<&'static str> {
         Some("which is out of this crate's scope")
     } else if name.starts_with("HyAR") {
         Some("HyAR's own Hard Move, which is out of this crate's scope; the paper's is `hard-move-4` to `hard-move-10`")
-    } else if name.starts_with("LunarLander") {
-        Some("which is out of this crate's scope: it needs Box2D")
     } else {
         None
     }
@@ -174,6 +192,8 @@ fn registry_id(name: &str, meta: &Meta) -> Result<&'static str, String> {
         "Moving-v0" => "moving".to_owned(),
         "Sliding-v0" => "sliding".to_owned(),
         "Pendulum-v1" => "pendulum".to_owned(),
+        "LunarLander-v3" => "lunar-lander".to_owned(),
+        "LunarLanderContinuous-v3" => "lunar-lander-continuous".to_owned(),
         _ => match name.strip_prefix("HardMove-v0 n=") {
             Some(n) => format!("hard-move-{n}"),
             // HalfCheetah-v4 -> half-cheetah-v4
@@ -227,6 +247,13 @@ fn trajectory(task: &dyn Task, raw: RawTrajectory) -> Result<Trajectory, Misfit>
         return Err(misfit("init", "a number of the state is null"));
     }
     let obs = numbers("init obs", raw.init.obs, spec.obs_dim())?;
+    let draws = match task.draws() {
+        Some(needed) => {
+            let at_reset = [raw.terrain_heights, raw.initial_force, raw.reset_dispersion];
+            recorded_draws(needed, t, at_reset, raw.info.dispersion)?
+        }
+        None => vec![],
+    };
     let mut steps = Vec::with_capacity(t);
     let given = raw.actions.into_iter().zip(raw.obs).zip(raw.rewards).zip(raw.terminated).zip(raw.truncated);
     for (k, ((((action, obs), reward), terminated), truncated)) in given.enumerate() {
@@ -236,7 +263,7 @@ fn trajectory(task: &dyn Task, raw: RawTrajectory) -> Result<Trajectory, Misfit>
         let state = self::state(task, &place, |key| raw.states.get(key).map(|list| &list[k]))?;
         steps.push(RecordedStep { action, obs, reward, terminated, truncated, state });
     }
-    Ok(Trajectory { name: raw.name, single_precision, time_limit: raw.time_limit, state, obs, steps })
+    Ok(Trajectory { name: raw.name, single_precision, time_limit: raw.time_limit, state, obs, draws, steps })
 }
 
 fn numbers(place: &str, values: Vec<f64>, expected: usize) -> Result<Vec<f64>, Misfit> {
@@ -244,6 +271,28 @@ fn numbers(place: &str, values: Vec<f64>, expected: usize) -> Result<Vec<f64>, M
         Ok(values)
     } else {
         Err(misfit(place, format!("expected {expected} numbers, found {}", values.len())))
+    }
+}
+
+/// The draws in the order of their use.
+fn recorded_draws(
+    needed: Draws,
+    steps: usize,
+    at_reset: [Option<Vec<f64>>; 3],
+    per_step: Option<Vec<Vec<f64>>>,
+) -> Result<Vec<f64>, Misfit> {
+    let place = "terrain_heights, initial_force, reset_dispersion";
+    let mut draws = numbers(place, at_reset.into_iter().flatten().flatten().collect(), needed.at_reset)?;
+    let per_step = per_step.unwrap_or_default();
+    if per_step.len() != steps {
+        return Err(misfit("info dispersion", format!("expected {steps} entries, found {}", per_step.len())));
+    }
+    for (k, of_step) in per_step.into_iter().enumerate() {
+        draws.extend(numbers(&format!("step {} info dispersion", k + 1), of_step, needed.per_step)?);
+    }
+    match draws.iter().find(|v| v.abs() > MAX_NUMBER) {
+        Some(large) => Err(misfit("draws", format!("expected numbers within ±{MAX_NUMBER:e}, found {large:e}"))),
+        None => Ok(draws),
     }
 }
 
@@ -264,6 +313,7 @@ fn state<'a>(task: &dyn Task, place: &str, find: impl Fn(&str) -> Option<&'a Num
             None => return Err(misfit(place(), "missing")),
             Some(Numbers::Many(values)) => values,
             Some(Numbers::One(value)) => std::slice::from_ref(value),
+            Some(Numbers::Flag(flag)) => &[f64::from(u8::from(*flag))],
             Some(Numbers::Open(())) => &[f64::NAN],
         };
         if values.len() != len {

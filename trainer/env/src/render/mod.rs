@@ -15,6 +15,8 @@ pub(crate) mod classic;
 pub(crate) mod field;
 #[cfg(feature = "render")]
 mod film;
+#[cfg(feature = "box2d")]
+pub(crate) mod lunar;
 #[cfg(feature = "render")]
 mod pixels;
 mod scene;
