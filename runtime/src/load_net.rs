@@ -56,8 +56,9 @@ fn frac_bits(reader: &mut Reader<'_>, kind: WeightKind) {
     reader.u16(0, if kind == WeightKind::Int8 { MAX_FRAC_BITS.into() } else { 0 });
 }
 
-/// The records of `count` layers and their streams; `inputs` is the width and the code of what the first one reads. The streams follow `between` bytes after the records. Leaves `at` after the
-/// records and `far` after the streams; returns the rows of the last layer.
+/// The records of `count` layers and their streams; `inputs` is the width and the code of what the first one reads. The
+/// streams follow `between` bytes after the records. Leaves `at` after the records and `far` after the streams; returns the
+/// rows of the last layer.
 #[inline(never)]
 fn check_layers(
     reader: &mut Reader<'_>,
