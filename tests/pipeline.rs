@@ -78,6 +78,8 @@ fn whole_path(env: &str) {
     let as_float = json("gadm", &[&["eval", text(&dir)], &measure[..]].concat());
     assert_eq!(returns(&as_float).len(), 4);
 
+    explained(&dir, &policy, &on_host);
+
     std::fs::write(dir.join("sil.json"), over_the_bus.to_string()).unwrap();
     ok("gadm", &["report", text(&dir), "--sil", text(&dir.join("sil.json")), "--trace", text(&trace)]);
     let html = std::fs::read_to_string(dir.join("report.html")).unwrap();
@@ -87,6 +89,30 @@ fn whole_path(env: &str) {
     assert!(std::fs::read_to_string(&svg).unwrap().contains("</svg>"));
     // A criterion that cannot be met is exit code 3.
     assert_eq!(run("gadm", &["eval", text(&policy), "--episodes", "1", "--min-return", "1e9"]).status.code(), Some(3));
+}
+
+/// The page on a policy, of its file and of its run, tells of the episodes that `gadm eval` measures.
+fn explained(dir: &Path, policy: &Path, measured: &Value) {
+    let html = dir.join("why.html");
+    for (subject, sections) in [(policy, "a policy file holds no encoder"), (dir, "Which actions share a latent: ")] {
+        let words =
+            ["explain", text(subject), "-o", text(&html), "--episodes", "4", "--seed", "7", "--step", "0", "--json"];
+        let told = json("gadm", &words);
+        // Flying a run means flying what it exports.
+        assert_eq!(returns(&told), returns(measured), "{}", subject.display());
+        assert_eq!(told["latent_counts"], measured["latent_counts"]);
+        let layers = told["layers"].as_array().unwrap();
+        assert_eq!(layers[0]["weights"].is_null(), subject == policy, "{layers:?}");
+        for error in ["weights", "activations", "all"] {
+            assert!(layers.iter().all(|layer| layer[error].as_f64().is_none_or(|share| share < 0.3)), "{layers:?}");
+        }
+        let page = std::fs::read_to_string(&html).unwrap();
+        assert!(page.contains(sections), "{sections}");
+        assert!(page.contains("Step 0: Q and confidence by latent") && !page.contains("<script"), "{page}");
+    }
+    let late = run("gadm", &["explain", text(policy), "-o", text(&html), "--episodes", "1", "--step", "100000"]);
+    let error = String::from_utf8_lossy(&late.stderr).into_owned();
+    assert!(!late.status.success() && error.contains("--step: expected 0 to "), "{error}");
 }
 
 #[test]

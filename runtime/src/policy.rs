@@ -314,7 +314,7 @@ fn store(action: &mut [f32], slot: usize, value: f32) {
 }
 
 /// The multipliers and offsets of one latent.
-fn latent_table<'a>(net: &Net<'a>, modulation: &'a [u8], latent: u16) -> &'a [u8] {
+pub(crate) fn latent_table<'a>(net: &Net<'a>, modulation: &'a [u8], latent: u16) -> &'a [u8] {
     let len = padded(net.first_rows().into(), 4).wrapping_mul(8);
     modulation.get(len.wrapping_mul(usize::from(latent))..).and_then(|rest| rest.get(..len)).unwrap_or_default()
 }

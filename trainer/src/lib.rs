@@ -8,6 +8,7 @@ pub mod card;
 pub mod config;
 pub mod discretizer;
 pub mod error;
+pub mod explain;
 pub mod export;
 pub mod metrics;
 pub mod nn;

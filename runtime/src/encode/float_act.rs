@@ -53,7 +53,7 @@ fn argmax(values: impl Iterator<Item = (usize, f32)>) -> (usize, f32) {
     values.fold((0, f32::NEG_INFINITY), |best, next| if next.1 > best.1 { next } else { best })
 }
 
-fn softmax_terms(logits: &[f32]) -> (Vec<f32>, f32) {
+pub(crate) fn softmax_terms(logits: &[f32]) -> (Vec<f32>, f32) {
     let top = logits.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let terms: Vec<f32> = logits.iter().map(|l| (l - top).exp()).collect();
     let sum = terms.iter().sum();

@@ -44,6 +44,8 @@ pub struct LayerReport {
     pub shrunk_rows: usize,
     /// Share of calibration outputs above the largest activation.
     pub saturated: f64,
+    /// Row `i` of the file is row `order[i]` of the float model: hidden rows are paired to suit the bounds of the sums.
+    pub order: Vec<usize>,
 }
 
 /// What quantisation found out.

@@ -26,6 +26,7 @@ mod quantise;
 mod read;
 mod rows;
 mod threshold;
+mod trace;
 mod write;
 
 pub use crate::decision::FloatDecision;
@@ -36,4 +37,5 @@ pub use model::{
     ActionSlot, Dense, FloatDecoder, FloatModel, HeadEncoding, Interface, ObservationSlot, ProvenanceOwned, Snap,
 };
 pub use quantise::{QuantiseOptions, quantise};
+pub use trace::{LayerTrace, Trace};
 pub use write::{FileOptions, TrailerRecord, reseal, write_float, write_int8};

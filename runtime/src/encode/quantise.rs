@@ -316,7 +316,13 @@ fn quantise_stages<'a>(
             net.layers.push(layer);
             net.frac_bits = frac_bits;
             net.scale = scale as f32;
-            report.layers.push(LayerReport { layer: stage.name.clone(), out_bits: 32, shrunk_rows, saturated: 0.0 });
+            report.layers.push(LayerReport {
+                layer: stage.name.clone(),
+                out_bits: 32,
+                shrunk_rows,
+                saturated: 0.0,
+                order: (0..stage.layer.rows).collect(),
+            });
             break;
         };
         let order = pair_order(&real, range);
@@ -347,6 +353,7 @@ fn quantise_stages<'a>(
             out_bits: bits,
             shrunk_rows: rows.shrunk,
             saturated: stage.outputs.share_above(y_scale * top),
+            order: order.clone(),
         });
         net.layers.push(layer);
         hidden = Some(Source {

@@ -5,6 +5,7 @@ mod completions;
 mod doctor;
 mod env;
 mod eval;
+mod explain;
 mod export;
 mod image;
 mod inspect;
@@ -46,6 +47,8 @@ enum Command {
     Train(train::Args),
     /// Measure the return of a run or of a policy file
     Eval(eval::Args),
+    /// Write a page on why a policy acts as it does
+    Explain(explain::Args),
     /// Turn a run into a policy file for the device
     Export(export::Args),
     /// Turn a policy file into a flash image, or read one back
@@ -86,6 +89,7 @@ pub fn main() -> ExitCode {
     let done = match cli.command {
         Command::Train(args) => train::main(args, cli.quiet),
         Command::Eval(args) => eval::main(&args),
+        Command::Explain(args) => explain::main(&args, cli.quiet),
         Command::Export(args) => export::main(&args),
         Command::Image(args) => image::main(&args),
         Command::Inspect(args) => inspect::main(&args),

@@ -1,4 +1,5 @@
-//! Figures as SVG text: learning curves, latent usage, float-against-int8 action error, and episodes over time.
+//! Figures as SVG text: learning curves, latent usage, float-against-int8 action error, episodes over time, values by latent, and
+//! maps of coloured cells.
 //!
 //! A figure is self-contained, scales without loss, and carries its own colours for light and dark surroundings
 //! (`prefers-color-scheme`). It can stand alone as a file or inline in an HTML page.
@@ -7,12 +8,16 @@ pub mod actions;
 mod axis;
 pub mod curve;
 pub mod episode;
+pub mod latents;
+pub mod map;
 mod theme;
 pub mod usage;
 
 pub use actions::action_error;
 pub use curve::{CurvePoint, RunCurve, learning_curve, read_run};
 pub use episode::{Panel, Series, episode};
+pub use latents::{LatentPanel, by_latent};
+pub use map::{Map, Mark, Paint, map, maps};
 pub(crate) use theme::escape;
 pub use usage::latent_usage;
 
