@@ -11,7 +11,7 @@ use crate::config::{Algorithm, RoundConfig, TrainConfig, WarmupConfig};
 use crate::discretizer::gadm::{ActionModel, ActionModelConfig, Confidence, ConfidenceConfig};
 use crate::error::TrainError;
 use crate::nn::AdamConfig;
-use crate::nn::kernel::{Epilogue, Left, Product, product};
+use crate::nn::kernel::{Epilogue, Left, Product, Right, product};
 use crate::nn::pack::{pack_panels, panels_len};
 use crate::nn::parallel;
 use crate::replay::RlBatch;
@@ -232,7 +232,10 @@ fn sgemm(rng: &mut Rng, threads: usize, seconds: f64) -> Timing {
             for c in &mut c {
                 let (left, right) = (Left::Rows(&a), &right);
                 scope.spawn(move || {
-                    (0..each).for_each(|_| product(Product { m, n, k, left, right, c, end: Epilogue::Store }));
+                    (0..each).for_each(|_| {
+                        let right = Right::Panels(right);
+                        product(Product { m, n, k, left, right, c, end: Epilogue::Store });
+                    });
                 });
             }
         });

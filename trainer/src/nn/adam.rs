@@ -121,39 +121,33 @@ struct Step {
 impl Step {
     fn apply(self, params: &mut [f32], grads: &[f32], m: &mut [f32], v: &mut [f32]) {
         let Self { scale, b1, b2, rate, root, eps } = self;
-        vectorised(
-            |()| {
-                for (((p, &g), m), v) in params.iter_mut().zip(grads).zip(m).zip(v) {
-                    let g = g * scale;
-                    *m = b1 * *m + (1.0 - b1) * g;
-                    *v = b2 * *v + (1.0 - b2) * g * g;
-                    *p -= rate * *m / (v.sqrt() * root + eps);
-                }
-            },
-            (),
-        );
+        vectorised!({
+            for (((p, &g), m), v) in params.iter_mut().zip(grads).zip(m).zip(v) {
+                let g = g * scale;
+                *m = b1 * *m + (1.0 - b1) * g;
+                *v = b2 * *v + (1.0 - b2) * g * g;
+                *p -= rate * *m / (v.sqrt() * root + eps);
+            }
+        });
     }
 }
 
 /// Adds `more` to `sum`; returns the sum of squares of that, taken in eight running sums and added up in f64.
 fn add_and_square<'a>(sum: &mut [f32], more: impl Iterator<Item = &'a [f32]>) -> f64 {
-    vectorised(
-        |()| {
-            for g in more {
-                sum.iter_mut().zip(g).for_each(|(s, g)| *s += g);
+    vectorised!({
+        for g in more {
+            sum.iter_mut().zip(g).for_each(|(s, g)| *s += g);
+        }
+        let mut lanes = [0.0_f32; 8];
+        let chunks = sum.chunks_exact(8);
+        let rest: f32 = chunks.remainder().iter().map(|v| v * v).sum();
+        for chunk in chunks {
+            for (lane, v) in lanes.iter_mut().zip(chunk) {
+                *lane += v * v;
             }
-            let mut lanes = [0.0_f32; 8];
-            let chunks = sum.chunks_exact(8);
-            let rest: f32 = chunks.remainder().iter().map(|v| v * v).sum();
-            for chunk in chunks {
-                for (lane, v) in lanes.iter_mut().zip(chunk) {
-                    *lane += v * v;
-                }
-            }
-            lanes.iter().map(|&l| f64::from(l)).sum::<f64>() + f64::from(rest)
-        },
-        (),
-    )
+        }
+        lanes.iter().map(|&l| f64::from(l)).sum::<f64>() + f64::from(rest)
+    })
 }
 
 #[cfg(test)]

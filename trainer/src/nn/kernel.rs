@@ -7,7 +7,7 @@
 
 use pulp::{Simd, WithSimd};
 
-use super::pack::{PANEL, TILE, groups_len, panels_len};
+use super::pack::{PANEL, TILE, groups_len, pack_panel, panels_len};
 
 /// The left factor, `m x k`.
 #[derive(Clone, Copy, Debug)]
@@ -16,6 +16,16 @@ pub enum Left<'a> {
     Rows(&'a [f32]),
     /// As [`pack_groups_and_sum`](super::pack::pack_groups_and_sum) leaves it: groups of [`TILE`] rows, column by column.
     Groups(&'a [f32]),
+}
+
+/// The right factor, `k x n`.
+#[derive(Debug)]
+pub enum Right<'a> {
+    /// In panels, as [`pack_panels`](super::pack::pack_panels) leaves it: for a factor that several products read.
+    Panels(&'a [f32]),
+    /// Row-major, with room for one panel (`k x` [`PANEL`]). A panel is packed when its turn comes and read from the first
+    /// cache: for a factor that one product reads.
+    Rows(&'a [f32], &'a mut [f32]),
 }
 
 /// What happens to a finished tile.
@@ -37,7 +47,7 @@ pub enum Epilogue<'a> {
     Bias(&'a [f32], bool),
 }
 
-/// `c (m x n, row-major) = left (m x k) · right (k x n, in panels)`, then the epilogue.
+/// `c (m x n, row-major) = left (m x k) · right (k x n)`, then the epilogue.
 #[derive(Debug)]
 pub struct Product<'a> {
     /// Rows.
@@ -48,8 +58,8 @@ pub struct Product<'a> {
     pub k: usize,
     /// Left factor.
     pub left: Left<'a>,
-    /// Right factor in panels.
-    pub right: &'a [f32],
+    /// Right factor.
+    pub right: Right<'a>,
     /// Result.
     pub c: &'a mut [f32],
     /// What happens to a finished tile.
@@ -61,14 +71,20 @@ pub struct Product<'a> {
 /// # Panics
 /// Where a slice is shorter than its matrix.
 pub fn product(product: Product) {
-    let Product { m, n, k, left, right, ref c, end } = product;
+    let Product { m, n, k, left, ref right, ref c, end } = product;
     let left_len = match left {
         Left::Rows(x) => (x.len(), m * k),
         Left::Groups(x) => (x.len(), groups_len(m, k)),
     };
     assert!(left_len.0 >= left_len.1, "left {m} x {k} needs {} numbers, the slice has {}", left_len.1, left_len.0);
-    let need = panels_len(k, n);
-    assert!(right.len() >= need, "right {k} x {n} needs {need} numbers, the slice has {}", right.len());
+    let (len, need) = match right {
+        Right::Panels(x) => (x.len(), panels_len(k, n)),
+        Right::Rows(x, room) => {
+            assert!(room.len() >= k * PANEL, "a panel needs {} numbers, the slice has {}", k * PANEL, room.len());
+            (x.len(), k * n)
+        }
+    };
+    assert!(len >= need, "right {k} x {n} needs {need} numbers, the slice has {len}");
     assert!(c.len() >= m * n, "c: {m} x {n} needs {} numbers, the slice has {}", m * n, c.len());
     match end {
         Epilogue::Bias(bias, _) => assert!(bias.len() >= n, "bias of {n} numbers, the slice has {}", bias.len()),
@@ -125,11 +141,24 @@ impl Product<'_> {
 
     #[inline(always)]
     fn tiles_of<S: Simd, L: Source>(self, simd: S, end: impl End, left: L) {
-        let Self { m, n, k, right, c, .. } = self;
-        for start in (0..m).step_by(BLOCK) {
-            let stop = (start + BLOCK).min(m);
-            for (p, panel) in right.chunks_exact((PANEL * k).max(1)).enumerate().take(n.div_ceil(PANEL)) {
+        let Self { m, n, k, mut right, c, .. } = self;
+        let block = match right {
+            Right::Panels(_) => BLOCK,
+            // So that each panel is packed once.
+            Right::Rows(..) => m.max(1),
+        };
+        for start in (0..m).step_by(block) {
+            let stop = (start + block).min(m);
+            for p in 0..n.div_ceil(PANEL) {
                 let at = Place { column: p * PANEL, columns: (n - p * PANEL).min(PANEL), n };
+                let panel = match &mut right {
+                    Right::Panels(x) => &x[p * PANEL * k..][..PANEL * k],
+                    Right::Rows(x, room) => {
+                        let room = &mut room[..PANEL * k];
+                        pack_panel(x, n, at.column, room);
+                        &*room
+                    }
+                };
                 let mut i = start;
                 while i + TILE <= stop {
                     tile::<S, TILE>(simd, i, TILE, left, panel, at, c, end);
@@ -375,19 +404,21 @@ mod tests {
             prop_assert_eq!(&panels, &other);
             let mut groups = vec![9.0; groups_len(m, k)];
             let mut sums = vec![1.0; m];
-            pack_groups_and_sum((&transposed(&a, m, k), m, k, &mut groups, &mut sums));
+            pack_groups_and_sum(&transposed(&a, m, k), m, k, &mut groups, &mut sums);
             for (i, sum) in sums.iter().enumerate() {
                 let row: f64 = a[i * k..][..k].iter().map(|&v| f64::from(v)).sum();
-                prop_assert!((f64::from(*sum) - 1.0 - row).abs() < 1e-5, "sum of column {i}: {sum}, {row}");
+                prop_assert!((f64::from(*sum) - row).abs() < 1e-5, "sum of column {i}: {sum}, {row}");
             }
-            for left in [Left::Rows(&a), Left::Groups(&groups)] {
+            let mut room = vec![5.0; k * PANEL];
+            for (left, packed) in [Left::Rows(&a), Left::Groups(&groups)].into_iter().flat_map(|l| [(l, true), (l, false)]) {
                 let gate = &start[..];
                 let gated = [false, true].map(|add| Epilogue::Gated { gate, add });
                 let biased = [false, true].map(|relu| Epilogue::Bias(&bias, relu));
                 for end in [Epilogue::Store, Epilogue::Add].into_iter().chain(gated).chain(biased) {
                     for wide in [true, false] {
                         let mut c = start.clone();
-                        let product = Product { m, n, k, left, right: &panels, c: &mut c, end };
+                        let right = if packed { Right::Panels(&panels) } else { Right::Rows(&b, &mut room) };
+                        let product = Product { m, n, k, left, right, c: &mut c, end };
                         if wide { dispatch(product) } else { portable(product) }
                         for (i, (&c, &sum)) in c.iter().zip(&expected).enumerate() {
                             let value = match end {
@@ -416,7 +447,7 @@ mod tests {
         pack_panels(&[1.0; 17][..16], 1, 16, &mut panels);
         let mut c = [0.0; 48];
         let end = Epilogue::Bias(&[0.0; 16], true);
-        product(Product { m: 3, n: 16, k: 1, left: Left::Rows(&a), right: &panels, c: &mut c, end });
+        product(Product { m: 3, n: 16, k: 1, left: Left::Rows(&a), right: Right::Panels(&panels), c: &mut c, end });
         assert!(c.iter().all(|c| c.is_nan()));
     }
 
@@ -424,6 +455,7 @@ mod tests {
     #[should_panic(expected = "c: 2 x 2 needs 4 numbers, the slice has 3")]
     fn a_short_slice_is_refused() {
         let left = Left::Rows(&[0.0; 2]);
-        product(Product { m: 2, n: 2, k: 1, left, right: &[0.0; 16], c: &mut [0.0; 3], end: Epilogue::Store });
+        let right = Right::Panels(&[0.0; 16]);
+        product(Product { m: 2, n: 2, k: 1, left, right, c: &mut [0.0; 3], end: Epilogue::Store });
     }
 }

@@ -18,15 +18,21 @@ pub fn groups_len(m: usize, k: usize) -> usize {
 /// Writes row-major `x` (`rows x cols`) in panels of its columns; columns that are not there are zero.
 pub fn pack_panels(x: &[f32], rows: usize, cols: usize, out: &mut [f32]) {
     for (p, panel) in out.chunks_exact_mut(PANEL * rows).enumerate().take(cols.div_ceil(PANEL)) {
-        let at = p * PANEL;
-        let width = (cols - at).min(PANEL);
-        for (row, to) in x.chunks_exact(cols).zip(panel.chunks_exact_mut(PANEL)) {
-            if width == PANEL {
-                to.copy_from_slice(&row[at..at + PANEL]);
-            } else {
-                to[..width].copy_from_slice(&row[at..]);
-                to[width..].fill(0.0);
-            }
+        pack_panel(x, cols, p * PANEL, panel);
+    }
+}
+
+/// Writes the panel of row-major `x` (`rows x cols`) that starts with the column `at`.
+#[inline(always)]
+pub fn pack_panel(x: &[f32], cols: usize, at: usize, panel: &mut [f32]) {
+    let width = (cols - at).min(PANEL);
+    let rows = x.chunks_exact(cols).zip(panel.as_chunks_mut::<PANEL>().0);
+    if width == PANEL {
+        rows.for_each(|(row, to)| to.copy_from_slice(&row[at..at + PANEL]));
+    } else {
+        for (row, to) in rows {
+            to[..width].copy_from_slice(&row[at..]);
+            to[width..].fill(0.0);
         }
     }
 }
@@ -53,12 +59,32 @@ pub fn pack_panels_transposed(x: &[f32], rows: usize, cols: usize, out: &mut [f3
     }
 }
 
+/// Groups that are packed side by side: three whole lines of the cache of each row.
+const SIDE_BY_SIDE: usize = 8;
+
 /// Writes the transpose of row-major `x` (`k x m`) in groups of [`TILE`] of its columns; columns that are not there are zero.
-/// Adds the sum of each column to `sums` (`m`) on the way, rows in turn.
+/// Sets `sums` (`m`) to the sum of each column on the way, rows in turn.
 #[inline(always)]
-pub fn pack_groups_and_sum((x, m, k, out, sums): (&[f32], usize, usize, &mut [f32], &mut [f32])) {
-    for ((g, group), sums) in out.chunks_exact_mut(TILE * k).enumerate().zip(sums[..m].chunks_mut(TILE)) {
-        let at = g * TILE;
+pub fn pack_groups_and_sum(x: &[f32], m: usize, k: usize, out: &mut [f32], sums: &mut [f32]) {
+    const WIDE: usize = SIDE_BY_SIDE * TILE;
+    let whole = m / WIDE * WIDE;
+    let (wide, out) = out.split_at_mut(whole * k);
+    let (wide_sums, sums) = sums[..m].split_at_mut(whole);
+    for ((i, out), sums) in wide.chunks_exact_mut(WIDE * k).enumerate().zip(wide_sums.as_chunks_mut::<WIDE>().0) {
+        let mut groups = out.chunks_exact_mut(TILE * k).map(|group| group.as_chunks_mut::<TILE>().0);
+        let mut groups: [_; SIDE_BY_SIDE] = std::array::from_fn(|_| groups.next().expect("as many groups"));
+        let mut total = [0.0; WIDE];
+        for (b, row) in x.chunks_exact(m).enumerate().take(k) {
+            let row = &row[i * WIDE..][..WIDE];
+            for (group, columns) in groups.iter_mut().zip(row.as_chunks().0) {
+                group[b] = *columns;
+            }
+            total.iter_mut().zip(row).for_each(|(t, v)| *t += v);
+        }
+        *sums = total;
+    }
+    for ((g, group), sums) in out.chunks_exact_mut(TILE * k).enumerate().zip(sums.chunks_mut(TILE)) {
+        let at = whole + g * TILE;
         let rows = x.chunks_exact(m).zip(group.as_chunks_mut::<TILE>().0);
         let mut total = [0.0; TILE];
         if sums.len() == TILE {
@@ -73,6 +99,6 @@ pub fn pack_groups_and_sum((x, m, k, out, sums): (&[f32], usize, usize, &mut [f3
                 total.iter_mut().zip(&*to).for_each(|(t, v)| *t += v);
             }
         }
-        sums.iter_mut().zip(total).for_each(|(s, t)| *s += t);
+        sums.copy_from_slice(&total[..sums.len()]);
     }
 }

@@ -244,7 +244,7 @@ impl Params {
                 let middle = halves(to.len());
                 let ((to_a, to_b), (from_a, from_b)) = (to.split_at_mut(middle), from.split_at(middle));
                 let half = |to: &mut [f32], from: &[f32]| {
-                    vectorised(|()| to.iter_mut().zip(from).for_each(|(t, &f)| *t += tau * (f - *t)), ());
+                    vectorised!(to.iter_mut().zip(from).for_each(|(t, &f)| *t += tau * (f - *t)));
                 };
                 join(|| half(to_a, from_a), || half(to_b, from_b));
             });

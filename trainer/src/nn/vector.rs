@@ -4,24 +4,35 @@ use pulp::{Simd, WithSimd};
 
 use super::kernel::dispatch;
 
-struct Call<F, A>(F, A);
+struct Call<F>(F);
 
-impl<A, R, F: FnOnce(A) -> R> WithSimd for Call<F, A> {
+impl<R, F: FnOnce() -> R> WithSimd for Call<F> {
     type Output = R;
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _simd: S) -> R {
-        (self.0)(self.1)
+        (self.0)()
     }
 }
 
-/// Runs `work` with the instructions of the best vector unit: the loops in it are compiled for that, as far as it is marked
-/// `#[inline(always)]`; a closure of a few lines is inlined anyway, a long one is not. Products and sums are not fused, so
-/// results are the same on every machine.
+/// See [`vectorised!`].
 #[inline(always)]
-pub fn vectorised<A, R>(work: impl FnOnce(A) -> R, arguments: A) -> R {
-    dispatch(Call(work, arguments))
+pub fn run_vectorised<R>(work: impl FnOnce() -> R) -> R {
+    dispatch(Call(work))
 }
+
+/// Computes an expression with the instructions of the best vector unit. The loops in it are compiled for that, and those in
+/// functions it calls where these are `#[inline(always)]`. A macro, for the closure must be too: left to itself, the compiler
+/// keeps a long one apart, made for the least machine. Products and sums are not fused, so results are the same on every machine.
+macro_rules! vectorised {
+    ($work:expr) => {
+        $crate::nn::vector::run_vectorised(
+            #[inline(always)]
+            || $work,
+        )
+    };
+}
+pub(crate) use vectorised;
 
 /// `e^x` with a relative error below 3e-7; 0 below -87, infinite above 88.7, NaN of NaN.
 /// Source: Cephes `expf` (Moshier): reduction by ln 2 in two parts, polynomial of degree 5.
@@ -86,13 +97,11 @@ fn sum(lanes: &[f32; 32]) -> f32 {
 #[inline(always)]
 pub fn max(values: &[f32]) -> f32 {
     let larger = |a: f32, b: f32| if b > a { b } else { a };
+    let (chunks, rest) = values.as_chunks::<8>();
+    let rest = rest.iter().fold(f32::NEG_INFINITY, |m, &v| larger(m, v));
     let mut lanes = [f32::NEG_INFINITY; 8];
-    let chunks = values.chunks_exact(8);
-    let rest = chunks.remainder().iter().fold(f32::NEG_INFINITY, |m, &v| larger(m, v));
     for chunk in chunks {
-        for (l, &v) in lanes.iter_mut().zip(chunk) {
-            *l = larger(*l, v);
-        }
+        lanes.iter_mut().zip(chunk).for_each(|(l, &v)| *l = larger(*l, v));
     }
     lanes.iter().fold(rest, |m, &v| larger(m, v))
 }
@@ -100,19 +109,16 @@ pub fn max(values: &[f32]) -> f32 {
 /// Replaces every value by `e^(value - top)`; returns the sum, taken in eight running sums.
 #[inline(always)]
 pub fn exp_sum(values: &mut [f32], top: f32) -> f32 {
-    let mut lanes = [0.0_f32; 8];
-    let mut chunks = values.chunks_exact_mut(8);
-    for chunk in &mut chunks {
-        for (v, l) in chunk.iter_mut().zip(&mut lanes) {
-            *v = exp(*v - top);
-            *l += *v;
-        }
-    }
-    let mut rest = 0.0;
-    for v in chunks.into_remainder() {
+    // Two loops: the compiler turns the first into vectors of exponentials, but not one that also adds up.
+    for v in &mut *values {
         *v = exp(*v - top);
-        rest += *v;
     }
+    let (chunks, rest) = values.as_chunks::<8>();
+    let mut lanes = [0.0_f32; 8];
+    for chunk in chunks {
+        lanes.iter_mut().zip(chunk).for_each(|(l, v)| *l += v);
+    }
+    let rest = rest.iter().fold(0.0, |sum, v| sum + v);
     ((lanes[0] + lanes[4]) + (lanes[2] + lanes[6])) + ((lanes[1] + lanes[5]) + (lanes[3] + lanes[7])) + rest
 }
 

@@ -8,8 +8,8 @@
 use std::ops::Range;
 
 use crate::nn::graph::OuterLayer;
-use crate::nn::kernel::{Epilogue, Left, Product, product};
-use crate::nn::pack::{groups_len, pack_groups_and_sum, pack_panels, pack_panels_transposed, panels_len};
+use crate::nn::kernel::{Epilogue, Left, Product, Right, product};
+use crate::nn::pack::{PANEL, groups_len, pack_groups_and_sum, pack_panels, pack_panels_transposed, panels_len};
 use crate::nn::vector::{add_scaled, dot, vectorised};
 use crate::nn::{Init, ParamLayout, Params};
 
@@ -97,7 +97,7 @@ impl Heads {
             order: vec![0; batch],
             starts: vec![0; self.latents + 1],
             left: vec![0.0; if self.dueling { groups_len(e, batch) } else { 0 }],
-            right: vec![0.0; if self.dueling { panels_len(batch, w) } else { 0 }],
+            right: vec![0.0; if self.dueling { PANEL * batch } else { 0 }],
             mean: (vec![0.0; e * w], vec![0.0; e]),
         }
     }
@@ -145,11 +145,11 @@ impl Heads {
         for (latent, (weights, biases)) in wa.chunks_exact(e * w).zip(ba.chunks_exact(e)).enumerate() {
             let mean = &mut per_latent.0[latent * w..(latent + 1) * w];
             for (row, b) in weights.chunks_exact(w).zip(biases) {
-                vectorised(|mean| add_scaled(mean, row, 1.0 / e as f32), &mut *mean);
+                vectorised!(add_scaled(&mut *mean, row, 1.0 / e as f32));
                 per_latent.1[latent] += b / e as f32;
             }
             if self.dueling {
-                vectorised(|to| add_scaled(to, weights, -1.0 / k as f32), &mut minus_mean[..]);
+                vectorised!(add_scaled(&mut minus_mean[..], weights, -1.0 / k as f32));
                 add_scaled(bias, biases, -1.0 / k as f32);
             }
         }
@@ -162,7 +162,7 @@ impl Heads {
             n: self.latents,
             k: self.width,
             left: Left::Rows(ha),
-            right: &derived.latent_panels,
+            right: Right::Panels(&derived.latent_panels),
             c: out,
             end: Epilogue::Bias(&derived.per_latent.1, false),
         });
@@ -188,7 +188,8 @@ impl Heads {
         let (batch, e, w) = (codes.len(), self.heads, self.width);
         if self.dueling {
             let layer = |left, right, c: &mut [f32], end| {
-                product(Product { m: batch, n: e, k: w, left: Left::Rows(left), right, c, end });
+                let (left, right) = (Left::Rows(left), Right::Panels(right));
+                product(Product { m: batch, n: e, k: w, left, right, c, end });
             };
             layer(hv, &derived.value_panels.0, &mut *out, Epilogue::Bias(&derived.bias, false));
             layer(ha, &derived.mean_panels.0, &mut *out, Epilogue::Add);
@@ -197,7 +198,7 @@ impl Heads {
         }
         scratch.sort(codes);
         let (wa, ba) = (&p[self.wa.clone()], &p[self.ba.clone()]);
-        vectorised(gather_rows, (&scratch.order[..batch], codes, (e, w), ha, wa, ba, out));
+        vectorised!(gather_rows(&scratch.order[..batch], codes, (e, w), ha, wa, ba, out));
     }
 
     /// Back-propagates `grad` (`B x E`, of the Q values that [`gather`](Self::gather) has just given): parameter gradients are
@@ -215,49 +216,49 @@ impl Heads {
         let OuterLayer { a: ha, b: hv, da, db, gradient } = layer;
         if self.dueling {
             let HeadScratch { left, right, mean, .. } = scratch;
-            let weights = |left: &[f32], right: &[f32], c: &mut [f32], end| {
-                product(Product { m: e, n: w, k: batch, left: Left::Groups(left), right, c, end });
+            vectorised!(pack_groups_and_sum(&grad[..batch * e], e, batch, left, &mut mean.1));
+            let mut weights = |inputs: &[f32], c: &mut [f32]| {
+                let (left, right) = (Left::Groups(left), Right::Rows(inputs, right));
+                product(Product { m: e, n: w, k: batch, left, right, c, end: Epilogue::Store });
             };
             let inputs = |right: &[f32], c: &mut [f32]| {
-                let left = Left::Rows(grad);
+                let (left, right) = (Left::Rows(grad), Right::Panels(right));
                 product(Product { m: batch, n: w, k: e, left, right, c, end: Epilogue::Store });
             };
-            mean.1.fill(0.0);
-            vectorised(pack_groups_and_sum, (&grad[..batch * e], e, batch, left, &mut mean.1[..]));
-            pack_panels(&hv[..batch * w], batch, w, right);
-            weights(left, right, &mut gradient[self.wv.clone()], Epilogue::Add);
+            weights(&hv[..batch * w], &mut gradient[self.wv.clone()]);
             inputs(&derived.value_panels.1, db);
-            pack_panels(&ha[..batch * w], batch, w, right);
-            weights(left, right, &mut mean.0, Epilogue::Store);
+            weights(&ha[..batch * w], &mut mean.0);
             inputs(&derived.mean_panels.1, da);
-            vectorised(
-                |()| {
-                    add_scaled(&mut gradient[self.bv.clone()], &mean.1, 1.0);
-                    // The mean over latents: -1/K of the head's gradient reaches every row of that head.
-                    for block in gradient[self.wa.clone()].chunks_exact_mut(e * w) {
-                        add_scaled(block, &mean.0, -1.0 / k as f32);
-                    }
-                    for block in gradient[self.ba.clone()].chunks_exact_mut(e) {
-                        add_scaled(block, &mean.1, -1.0 / k as f32);
-                    }
-                },
-                (),
-            );
+            vectorised!({
+                add_scaled(&mut gradient[self.bv.clone()], &mean.1, 1.0);
+                // The mean over latents: -1/K of the head's gradient reaches every row of that head.
+                for block in gradient[self.wa.clone()].chunks_exact_mut(e * w) {
+                    add_scaled(block, &mean.0, -1.0 / k as f32);
+                }
+                for block in gradient[self.ba.clone()].chunks_exact_mut(e) {
+                    add_scaled(block, &mean.1, -1.0 / k as f32);
+                }
+            });
         } else {
             da[..batch * w].fill(0.0);
         }
         let wa = &p[self.wa.clone()];
         let (advantage, rest) = gradient[self.wa.start..].split_at_mut(self.wa.len());
         let bias = &mut rest[self.ba.start - self.wa.end..][..self.ba.len()];
-        vectorised(backward_rows, (&scratch.order[..batch], codes, (e, w), ha, wa, grad, da, advantage, bias));
+        vectorised!(backward_rows(&scratch.order[..batch], codes, (e, w), ha, wa, grad, da, advantage, bias));
     }
 }
 
 /// Adds `A[code, e]` of each row, in the order of the codes. `shape` is (E, width).
 #[inline(always)]
-#[expect(clippy::type_complexity, reason = "the arguments of a loop that is compiled for the vector unit")]
 fn gather_rows(
-    (order, codes, (e, w), ha, wa, ba, out): (&[u32], &[u32], (usize, usize), &[f32], &[f32], &[f32], &mut [f32]),
+    order: &[u32],
+    codes: &[u32],
+    (e, w): (usize, usize),
+    ha: &[f32],
+    wa: &[f32],
+    ba: &[f32],
+    out: &mut [f32],
 ) {
     for &b in order {
         let (b, first) = (b as usize, codes[b as usize] as usize * e);
@@ -271,19 +272,17 @@ fn gather_rows(
 
 /// Adds the gradients of the rows that [`gather_rows`] read and of the stream, in the order of the codes.
 #[inline(always)]
-#[expect(clippy::type_complexity, reason = "as above")]
+#[expect(clippy::too_many_arguments, reason = "the tensors of one layer")]
 fn backward_rows(
-    (order, codes, (e, w), ha, wa, grad, dha, dwa, dba): (
-        &[u32],
-        &[u32],
-        (usize, usize),
-        &[f32],
-        &[f32],
-        &[f32],
-        &mut [f32],
-        &mut [f32],
-        &mut [f32],
-    ),
+    order: &[u32],
+    codes: &[u32],
+    (e, w): (usize, usize),
+    ha: &[f32],
+    wa: &[f32],
+    grad: &[f32],
+    dha: &mut [f32],
+    dwa: &mut [f32],
+    dba: &mut [f32],
 ) {
     for &b in order {
         let (b, first) = (b as usize, codes[b as usize] as usize * e);

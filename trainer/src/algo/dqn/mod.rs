@@ -7,16 +7,21 @@ pub use config::{DqnConfig, TargetUpdate};
 
 use crate::error::TrainError;
 use crate::nn::parallel::{PARTS, each, join, part_rows, split};
-use crate::nn::{Adam, DenseParams, Graph, Init, Packed, ParamLayout, Params, Slot, Weights, Workspace, declare_dense};
+use crate::nn::{
+    Adam, DenseParams, Graph, Init, Packed, ParamLayout, Params, Slot, Weights, Workspace, argmax, declare_dense,
+};
 use crate::replay::RlBatch;
 use crate::seed::Rng;
 use head::{Derived, HeadScratch, Heads};
 
 /// The largest of the allowed `scores`; ties go to the lowest latent. `allowed` empty means all.
 pub fn masked_argmax(scores: &[f32], allowed: &[bool]) -> usize {
+    if allowed.is_empty() {
+        return argmax(scores);
+    }
     let mut best = None;
     for (k, &s) in scores.iter().enumerate() {
-        if (allowed.is_empty() || allowed[k]) && best.is_none_or(|b: usize| s > scores[b]) {
+        if allowed[k] && best.is_none_or(|b: usize| s > scores[b]) {
             best = Some(k);
         }
     }

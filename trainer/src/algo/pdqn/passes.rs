@@ -91,7 +91,7 @@ impl Stream {
 
 /// `Σ relu(h) ⊙ w`.
 #[inline(always)]
-fn relu_dot((h, w): (&[f32], &[f32])) -> f32 {
+fn relu_dot(h: &[f32], w: &[f32]) -> f32 {
     let mut lanes = [0.0_f32; 16];
     let (ch, cw) = (h.chunks_exact(16), w.chunks_exact(16));
     let rest: f32 = ch.remainder().iter().zip(cw.remainder()).map(|(h, w)| if *h > 0.0 { h * w } else { 0.0 }).sum();
@@ -105,7 +105,7 @@ fn relu_dot((h, w): (&[f32], &[f32])) -> f32 {
 
 /// `Σ w ⊙ d` where `h > 0`.
 #[inline(always)]
-fn gate((h, w, scale, to): (&[f32], &[f32], f32, &mut [f32])) {
+fn gate(h: &[f32], w: &[f32], scale: f32, to: &mut [f32]) {
     for ((t, h), w) in to.iter_mut().zip(h).zip(w) {
         *t = if *h > 0.0 { scale * w } else { 0.0 };
     }
@@ -168,20 +168,20 @@ impl Passes {
                         (false, false) => absent - x,
                     };
                     let column = &stream.arguments[j * h..(j + 1) * h];
-                    vectorised(|sum| add_scaled(sum, column, change), &mut sum[..]);
+                    vectorised!(add_scaled(&mut sum[..], column, change));
                 }
             }
             let [a, v] = &scratch.sum;
             let row = &self.advantage.out[k * h..(k + 1) * h];
-            let q = vectorised(relu_dot, (&a[..], row)) + vectorised(relu_dot, (&v[..], &self.value.out[..]));
+            let q = vectorised!(relu_dot(&a[..], row)) + vectorised!(relu_dot(&v[..], &self.value.out[..]));
             each(k, q + self.advantage.out_bias[k] + self.value.out_bias[0]);
             if let Some((dx, scale)) = &mut dx {
                 let [da, dv] = &mut scratch.back;
-                vectorised(gate, (&a[..], row, *scale, &mut da[..]));
-                vectorised(gate, (&v[..], &self.value.out[..], *scale, &mut dv[..]));
+                vectorised!(gate(&a[..], row, *scale, &mut da[..]));
+                vectorised!(gate(&v[..], &self.value.out[..], *scale, &mut dv[..]));
                 for (j, dx) in dx.iter_mut().enumerate().filter(|(j, _)| now[*j]) {
                     let [ca, cv] = streams.map(|s| &s.arguments[j * h..(j + 1) * h]);
-                    *dx += vectorised(|()| dot(ca, da), ()) + vectorised(|()| dot(cv, dv), ());
+                    *dx += vectorised!(dot(ca, da)) + vectorised!(dot(cv, dv));
                 }
             }
         }

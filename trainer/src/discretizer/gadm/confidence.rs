@@ -49,11 +49,11 @@ pub fn mask(scores: &[f32], threshold: f32, allowed: &mut [bool]) -> MaskRule {
 
 /// Softmax of each row of `k` logits, in place.
 pub fn softmax_rows(logits: &mut [f32], k: usize) {
-    vectorised(softmax, (logits, k));
+    vectorised!(softmax(logits, k));
 }
 
 #[inline(always)]
-fn softmax((logits, k): (&mut [f32], usize)) {
+fn softmax(logits: &mut [f32], k: usize) {
     for row in logits.chunks_exact_mut(k) {
         let top = max(row);
         let sum = exp_sum(row, top);
@@ -77,7 +77,7 @@ fn focal(logits: &[f32], class: usize, gamma: f32, scale: f32, grad: &mut [f32])
 
 /// Sum of the focal losses of some rows times `scale`, with its gradient.
 #[inline(always)]
-fn focal_rows((logits, codes, gamma, scale, grad): (&[f32], &[u32], f32, f32, &mut [f32])) -> f32 {
+fn focal_rows(logits: &[f32], codes: &[u32], gamma: f32, scale: f32, grad: &mut [f32]) -> f32 {
     let k = grad.len() / codes.len().max(1);
     let rows = logits.chunks_exact(k).zip(grad.chunks_exact_mut(k)).zip(codes);
     rows.map(|((l, g), &code)| scale * focal(l, code as usize, gamma, scale, g)).sum()
@@ -187,7 +187,7 @@ impl Confidence {
                 let (logits, grad) = ws.value_and_grad(*out, *out);
                 let grad = &mut grad[..rows.len() * k];
                 let scale = 1.0 / batch as f32;
-                *loss = vectorised(focal_rows, (logits, &codes[rows.clone()], gamma, scale, grad));
+                *loss = vectorised!(focal_rows(logits, &codes[rows.clone()], gamma, scale, grad));
                 graph.backward(weights, ws);
             });
         });

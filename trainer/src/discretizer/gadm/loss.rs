@@ -33,13 +33,18 @@ impl ReconstructionLoss {
     /// `continuous_weight · continuous + types + two_hot_weight · two_hot` into `grad`.
     pub fn evaluate(&self, space: &ActionSpace, outputs: &[f32], actions: &[f32], grad: &mut [f32]) -> Reconstruction {
         let count = Count::of(space, actions);
-        vectorised(Self::evaluate_part, (self, space, outputs, actions, grad, count))
+        vectorised!(self.evaluate_part(space, outputs, actions, grad, count))
     }
 
     /// [`evaluate`](Self::evaluate) of some of the rows of a batch that has `count` in all: the parts add up to the whole.
     #[inline(always)]
     pub fn evaluate_part(
-        (settings, space, outputs, actions, grad, count): (&Self, &ActionSpace, &[f32], &[f32], &mut [f32], Count),
+        &self,
+        space: &ActionSpace,
+        outputs: &[f32],
+        actions: &[f32],
+        grad: &mut [f32],
+        count: Count,
     ) -> Reconstruction {
         let (slots, width) = (space.slots(), space.output_width());
         let batch = actions.len() / slots;
@@ -63,12 +68,12 @@ impl ReconstructionLoss {
                     ActionHead::Continuous { .. } => match space.continuous_head() {
                         ContinuousHead::Tanh => {
                             let y = o[0].tanh();
-                            let (value, slope) = settings.pointwise(y - a[slot]);
+                            let (value, slope) = self.pointwise(y - a[slot]);
                             loss.continuous += each * value;
-                            g[0] = settings.continuous_weight * each * slope * (1.0 - y * y);
+                            g[0] = self.continuous_weight * each * slope * (1.0 - y * y);
                         }
                         ContinuousHead::Categorical { atoms, .. } => {
-                            let part = settings.categorical(o, a[slot], atoms, each, g);
+                            let part = self.categorical(o, a[slot], atoms, each, g);
                             loss.continuous += each * part.0;
                             loss.two_hot += each * part.1;
                         }
@@ -96,10 +101,14 @@ impl ReconstructionLoss {
         g.copy_from_slice(o);
         let sum = exp_sum(g, top);
         let mut lanes = [0.0_f32; 8];
-        for (i, chunk) in g.chunks(8).enumerate() {
+        let (chunks, rest) = g.as_chunks::<8>();
+        for (i, chunk) in chunks.iter().enumerate() {
             for (j, (lane, e)) in lanes.iter_mut().zip(chunk).enumerate() {
                 *lane += e * atom(8 * i + j, atoms);
             }
+        }
+        for (j, (lane, e)) in lanes.iter_mut().zip(rest).enumerate() {
+            *lane += e * atom(8 * chunks.len() + j, atoms);
         }
         let value = lanes.iter().sum::<f32>() / sum;
         let (loss, slope) = self.pointwise(value - target);

@@ -205,7 +205,13 @@ fn enter(ws: &mut Workspace, space: &ActionSpace, obs_slot: Option<Slot>, action
 /// that of a learned table, which lies at `learned`.
 #[inline(always)]
 fn commit(
-    (ws, positions, table, d, lambda, batch, learned): (&mut Workspace, Slot, &[f32], usize, f32, usize, Option<usize>),
+    ws: &mut Workspace,
+    positions: Slot,
+    table: &[f32],
+    d: usize,
+    lambda: f32,
+    batch: usize,
+    learned: Option<usize>,
 ) -> f32 {
     let each = 2.0 / (batch * d) as f32;
     let (codes, z, pull, gradient) = ws.code_loss(positions);
@@ -354,10 +360,9 @@ impl ActionModel {
             each(&mut [(ws_a, loss_a), (ws_b, loss_b)], &rows, |(ws, sums), rows| {
                 let (value, grad) = ws.value_and_grad(*out, *out);
                 let actions = &actions[rows.start * slots..rows.end * slots];
-                sums.reconstruction =
-                    vectorised(ReconstructionLoss::evaluate_part, (&loss, space, value, actions, grad, count));
+                sums.reconstruction = vectorised!(loss.evaluate_part(space, value, actions, grad, count));
                 let learned = (config.codetable == Codetable::Learned).then_some(layers.table.start);
-                sums.commitment = vectorised(commit, (ws, *latent, table, d, lambda, batch, learned));
+                sums.commitment = vectorised!(commit(ws, *latent, table, d, lambda, batch, learned));
             });
             graph.backward_parts(weights, parts, &rows);
         });

@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-use super::super::kernel::{Epilogue, Left, Product, product};
-use super::super::pack::{pack_groups_and_sum, pack_panels};
+use super::super::kernel::{Epilogue, Left, Product, Right, product};
+use super::super::pack::pack_groups_and_sum;
 use super::super::parallel;
 use super::super::vector::vectorised;
 use super::lookup::look_up_back;
@@ -13,8 +13,8 @@ use super::{Graph, Op, Weights, Workspace};
 
 impl Graph {
     /// Back-propagates the gradients that the caller put into outputs with [`Workspace::grad_mut`] after the last forward pass.
-    /// The parameter gradients are **added** to [`Workspace::gradient`], which the forward pass had set to zero. Values without
-    /// a gradient count as zero.
+    /// Sets the gradient of the graph's parameters in [`Workspace::gradient`] and leaves that of others there as it is. Values
+    /// without a gradient count as zero.
     pub fn backward(&self, weights: Weights, ws: &mut Workspace) {
         let batch = ws.batch;
         self.backward_parts(weights, std::slice::from_mut(ws), &[0..batch, batch..batch]);
@@ -55,25 +55,29 @@ impl Graph {
             match &self.ops[i] {
                 Op::Dense { x, y, w, b, relu, lookup } => {
                     if ws.given[*y] == Given::Nothing {
+                        if !frozen {
+                            for part in [w, b] {
+                                ws.gradient[part.clone()].fill(0.0);
+                            }
+                        }
                         continue;
                     }
                     let (n, k) = (self.widths[*y], self.widths[*x]);
                     let mut dy = std::mem::take(&mut ws.grad[*y]);
                     let Workspace { act, grad, given, codes, left, right, gradient, .. } = ws;
                     if *relu && given[*y] == Given::Plain {
-                        vectorised(|()| mask_by_sign(&mut dy[..batch * n], &act[*y]), ());
+                        vectorised!(mask_by_sign(&mut dy[..batch * n], &act[*y]));
                     }
                     if !frozen {
                         let rows = &dy[..batch * n];
                         let [c, bias] =
                             gradient.get_disjoint_mut([w.clone(), b.clone()]).expect("weights and biases lie apart");
                         if *lookup {
-                            vectorised(|()| look_up_back(&codes[..batch], rows, k, left, c, bias), ());
+                            vectorised!(look_up_back(&codes[..batch], rows, k, left, c, bias));
                         } else {
-                            vectorised(pack_groups_and_sum, (rows, n, batch, left, bias));
-                            pack_panels(&act[*x][..batch * k], batch, k, right);
-                            let left = Left::Groups(left);
-                            product(Product { m: n, n: k, k: batch, left, right, c, end: Epilogue::Add });
+                            vectorised!(pack_groups_and_sum(rows, n, batch, left, bias));
+                            let (left, right) = (Left::Groups(left), Right::Rows(&act[*x][..batch * k], right));
+                            product(Product { m: n, n: k, k: batch, left, right, c, end: Epilogue::Store });
                         }
                     }
                     if self.needs_grad[*x] {
@@ -86,7 +90,7 @@ impl Graph {
                         if !add {
                             given[*x] = if self.relu[*x] { Given::Gated } else { Given::Plain };
                         }
-                        let right = &weights.packed.ops[i].1;
+                        let right = Right::Panels(&weights.packed.backward[i]);
                         product(Product { m: batch, n: k, k: n, left: Left::Rows(&dy), right, c: &mut grad[*x], end });
                     }
                     ws.grad[*y] = dy;
@@ -102,7 +106,7 @@ impl Graph {
                         floor: if self.relu[slot] { 0.0 } else { f32::NEG_INFINITY },
                         add: ws.given[slot] != Given::Nothing,
                     });
-                    vectorised(multiply_back, (&ws.grad[*y][..n], &mut fa, &mut fb));
+                    vectorised!(multiply_back(&ws.grad[*y][..n], &mut fa, &mut fb));
                     for (slot, factor) in [(*a, fa), (*b, fb)] {
                         (ws.act[slot], ws.grad[slot]) = (factor.value, factor.grad);
                         if ws.given[slot] == Given::Nothing {
@@ -137,7 +141,7 @@ impl Graph {
                     let mut dy = std::mem::take(&mut ws.grad[*y]);
                     if *relu {
                         let n = batch * self.widths[*y];
-                        vectorised(|()| mask_by_sign(&mut dy[..n], &ws.act[*y]), ());
+                        vectorised!(mask_by_sign(&mut dy[..n], &ws.act[*y]));
                     }
                     let (xs, ss) = (std::mem::take(&mut ws.act[*x]), std::mem::take(&mut ws.act[*scale]));
                     ws.accumulate(self, *x, &dy, &ss, |g, s| g * (1.0 + s));
@@ -188,7 +192,7 @@ impl Factor {
 
 /// Gradients of both factors of a product from its own, `dy`, in one pass.
 #[inline(always)]
-fn multiply_back((dy, a, b): (&[f32], &mut Factor, &mut Factor)) {
+fn multiply_back(dy: &[f32], a: &mut Factor, b: &mut Factor) {
     let (floors, adds) = ((a.floor, b.floor), (a.add, b.add));
     let sides = a.grad.iter_mut().zip(&a.value).zip(b.grad.iter_mut().zip(&b.value));
     for (&g, ((da, &x), (db, &w))) in dy.iter().zip(sides) {

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::super::kernel::{Epilogue, Left, Product, product};
+use super::super::kernel::{Epilogue, Left, Product, Right, product};
 use super::super::parallel;
 use super::super::vector::{max, vectorised};
 use super::lookup::look_up;
@@ -38,7 +38,7 @@ impl Graph {
                 if let Some(Op::Standardise { x, .. }) = self.ops.get(end) {
                     let (width, batch) = (self.widths[*x], ws.batch);
                     let Workspace { act, stats, .. } = ws;
-                    vectorised(column_statistics, (&act[*x], batch, width, &mut stats[end][..2 * width]));
+                    vectorised!(column_statistics(&act[*x], batch, width, &mut stats[end][..2 * width]));
                 }
             });
             if let Some(Op::Standardise { x, .. }) = self.ops.get(end) {
@@ -55,10 +55,10 @@ impl Graph {
             match &self.ops[i] {
                 Op::Dense { x, y, b, relu, lookup: true, .. } => {
                     let floor = if *relu { 0.0 } else { f32::NEG_INFINITY };
-                    let (bias, panels) = (&params[b.clone()], weights.packed.ops[i].0.as_slice());
+                    let (bias, panels) = (&params[b.clone()], weights.packed.forward[i].as_slice());
                     let Workspace { act, codes, .. } = ws;
                     let (codes, depth, out) = (&codes[..batch], self.widths[*x], &mut act[*y]);
-                    vectorised(|()| look_up(codes, panels, bias, depth, floor, out), ());
+                    vectorised!(look_up(codes, panels, bias, depth, floor, out));
                 }
                 Op::Dense { x, y, b, relu, .. } => {
                     let mut out = std::mem::take(&mut ws.act[*y]);
@@ -67,7 +67,7 @@ impl Graph {
                         n: self.widths[*y],
                         k: self.widths[*x],
                         left: Left::Rows(&ws.act[*x]),
-                        right: &weights.packed.ops[i].0,
+                        right: Right::Panels(&weights.packed.forward[i]),
                         c: &mut out,
                         end: Epilogue::Bias(&params[b.clone()], *relu),
                     });
@@ -77,7 +77,7 @@ impl Graph {
                     let mut out = std::mem::take(&mut ws.act[*y]);
                     let n = batch * self.widths[*y];
                     let (a, b) = (&ws.act[*a][..n], &ws.act[*b][..n]);
-                    vectorised(|()| out[..n].iter_mut().zip(a).zip(b).for_each(|((o, a), b)| *o = a * b), ());
+                    vectorised!(out[..n].iter_mut().zip(a).zip(b).for_each(|((o, a), b)| *o = a * b));
                     ws.act[*y] = out;
                 }
                 Op::Concat { a, b, y } => {
@@ -95,14 +95,11 @@ impl Graph {
                     let floor = if *relu { 0.0 } else { f32::NEG_INFINITY };
                     let n = batch * self.widths[*y];
                     let (x, scale, shift) = (&ws.act[*x][..n], &ws.act[*scale][..n], &ws.act[*shift][..n]);
-                    vectorised(
-                        |()| {
-                            for (o, ((&x, &s), &t)) in out[..n].iter_mut().zip(x.iter().zip(scale).zip(shift)) {
-                                *o = at_least((1.0 + s) * x + t, floor);
-                            }
-                        },
-                        (),
-                    );
+                    vectorised!({
+                        for (o, ((&x, &s), &t)) in out[..n].iter_mut().zip(x.iter().zip(scale).zip(shift)) {
+                            *o = at_least((1.0 + s) * x + t, floor);
+                        }
+                    });
                     ws.act[*y] = out;
                 }
                 Op::Standardise { x, y, mean, var, gain, .. } => {
@@ -114,19 +111,16 @@ impl Graph {
                     let mut out = std::mem::take(&mut ws.act[*y]);
                     let (mu, rest) = ws.stats[i].split_at_mut(width);
                     let (variance, factor) = rest.split_at_mut(width);
-                    vectorised(
-                        |()| {
-                            for (f, v) in factor.iter_mut().zip(&*variance) {
-                                *f = gain / (v + STANDARDISE_EPS).sqrt();
+                    vectorised!({
+                        for (f, v) in factor.iter_mut().zip(&*variance) {
+                            *f = gain / (v + STANDARDISE_EPS).sqrt();
+                        }
+                        for (o, x) in out.chunks_exact_mut(width).zip(ws.act[*x].chunks_exact(width)).take(batch) {
+                            for (((o, &x), &m), &f) in o.iter_mut().zip(x).zip(&*mu).zip(&*factor) {
+                                *o = (x - m) * f;
                             }
-                            for (o, x) in out.chunks_exact_mut(width).zip(ws.act[*x].chunks_exact(width)).take(batch) {
-                                for (((o, &x), &m), &f) in o.iter_mut().zip(x).zip(&*mu).zip(&*factor) {
-                                    *o = (x - m) * f;
-                                }
-                            }
-                        },
-                        (),
-                    );
+                        }
+                    });
                     ws.act[*y] = out;
                 }
                 Op::Quantise { x, y, table, one_hot } => {
@@ -136,8 +130,8 @@ impl Graph {
                     let codes = &mut ws.codes;
                     for ((o, z), code) in rows.zip(codes) {
                         let k = match one_hot {
-                            true => vectorised(argmax_fast, &z[..table.len() / width]),
-                            false => vectorised(nearest, (z, table)),
+                            true => argmax(&z[..table.len() / width]),
+                            false => vectorised!(nearest(z, table)),
                         };
                         o.copy_from_slice(&table[k * width..(k + 1) * width]);
                         *code = k as u32;
@@ -155,26 +149,16 @@ pub(super) fn at_least(value: f32, floor: f32) -> f32 {
     if value < floor { floor } else { value }
 }
 
-/// Index of the largest value; ties go to the lowest index.
+/// Index of the largest value; ties go to the lowest index, and NaN is passed over. Two passes without a branch per number.
 pub fn argmax(values: &[f32]) -> usize {
-    let mut best = 0;
-    for (i, v) in values.iter().enumerate() {
-        if *v > values[best] {
-            best = i;
-        }
-    }
-    best
-}
-
-/// [`argmax`] in two passes without a branch per number.
-#[inline(always)]
-fn argmax_fast(values: &[f32]) -> usize {
-    let top = max(values);
-    values.iter().position(|&v| v == top).unwrap_or(0)
+    vectorised!({
+        let top = max(values);
+        values.iter().position(|&v| v == top).unwrap_or(0)
+    })
 }
 
 #[inline(always)]
-fn nearest((z, table): (&[f32], &[f32])) -> usize {
+fn nearest(z: &[f32], table: &[f32]) -> usize {
     let mut best = (0, f32::INFINITY);
     for (k, row) in table.chunks_exact(z.len()).enumerate() {
         let distance: f32 = row.iter().zip(z).map(|(a, b)| (a - b) * (a - b)).sum();

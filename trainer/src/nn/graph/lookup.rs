@@ -18,7 +18,7 @@ pub(super) fn look_up(codes: &[u32], panels: &[f32], bias: &[f32], depth: usize,
     }
 }
 
-/// Adds `dyᵀ onehot(codes)` to `gradient` (`n x depth`) and the column sums of `dy` (`B x n`) to `bias`; `work` holds
+/// Sets `gradient` (`n x depth`) to `dyᵀ onehot(codes)` and `bias` to the column sums of `dy` (`B x n`); `work` holds
 /// `depth x n` numbers.
 #[inline(always)]
 pub(super) fn look_up_back(
@@ -32,6 +32,7 @@ pub(super) fn look_up_back(
     let n = bias.len();
     let work = &mut work[..depth * n];
     work.fill(0.0);
+    bias.fill(0.0);
     for (&code, dy) in codes.iter().zip(dy.chunks_exact(n)) {
         let sums = work[code as usize * n..][..n].iter_mut().zip(&mut *bias);
         for ((w, b), g) in sums.zip(dy) {
@@ -41,7 +42,7 @@ pub(super) fn look_up_back(
     }
     for (k, row) in work.chunks_exact(n).enumerate() {
         for (to, from) in gradient[k..].iter_mut().step_by(depth).zip(row) {
-            *to += from;
+            *to = *from;
         }
     }
 }

@@ -96,9 +96,11 @@ impl Graph {
     /// A dense layer, with ReLU where `relu`.
     ///
     /// # Panics
-    /// Where the width of `x` is not the layer's input width.
+    /// Where the width of `x` is not the layer's input width, or the graph has the layer already.
     pub fn dense(&mut self, x: Slot, layer: &DenseParams, relu: bool) -> Slot {
         assert_eq!(self.widths[x.0], layer.inputs, "dense layer: input width");
+        let there = self.ops.iter().any(|op| matches!(op, Op::Dense { w, .. } if *w == layer.w));
+        assert!(!there, "dense layer: its gradient is set, not added, so a graph has it once");
         let y = self.slot(layer.outputs, true);
         self.relu[y.0] = relu;
         let lookup = self.ops.iter().any(|op| matches!(op, Op::Quantise { y, one_hot: true, .. } if *y == x.0));

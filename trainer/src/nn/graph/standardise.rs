@@ -19,20 +19,17 @@ impl Graph {
         if given[*y] == Given::Nothing {
             return;
         }
-        vectorised(
-            |()| {
-                for (g, o) in grad[*y].chunks_exact(width).zip(act[*y].chunks_exact(width)).take(batch) {
-                    for (((m, h), &g), &o) in sum.iter_mut().zip(&mut *product).zip(g).zip(o) {
-                        *m += g;
-                        *h += g * o;
-                    }
+        vectorised!({
+            for (g, o) in grad[*y].chunks_exact(width).zip(act[*y].chunks_exact(width)).take(batch) {
+                for (((m, h), &g), &o) in sum.iter_mut().zip(&mut *product).zip(g).zip(o) {
+                    *m += g;
+                    *h += g * o;
                 }
-                for p in &mut *product {
-                    *p /= gain;
-                }
-            },
-            (),
-        );
+            }
+            for p in &mut *product {
+                *p /= gain;
+            }
+        });
     }
 
     /// `dx = gain / σ (dy - mean(dy) - x̂ mean(dy x̂))` with the means over the `batch` rows of all parts.
@@ -48,24 +45,21 @@ impl Graph {
         let Workspace { act, grad, stats, .. } = ws;
         let (stats, sums) = stats[op][width..].split_at_mut(width);
         let (sum, product) = sums.split_at_mut(width);
-        vectorised(
-            |()| {
-                let scale = 1.0 / batch as f32;
-                for (m, h) in sum.iter_mut().zip(&mut *product) {
-                    *m *= scale;
-                    *h *= scale / gain;
+        vectorised!({
+            let scale = 1.0 / batch as f32;
+            for (m, h) in sum.iter_mut().zip(&mut *product) {
+                *m *= scale;
+                *h *= scale / gain;
+            }
+            let to = grad[*x].chunks_exact_mut(width).zip(dy.chunks_exact(width)).zip(act[*y].chunks_exact(width));
+            for ((to, g), o) in to.take(rows) {
+                let columns = stats.iter().zip(&*sum).zip(&*product);
+                for (((t, &g), &o), ((&v, &m), &h)) in to.iter_mut().zip(g).zip(o).zip(columns) {
+                    let value = gain / (v + STANDARDISE_EPS).sqrt() * (g - m - o * h);
+                    *t = if accumulate { *t + value } else { value };
                 }
-                let to = grad[*x].chunks_exact_mut(width).zip(dy.chunks_exact(width)).zip(act[*y].chunks_exact(width));
-                for ((to, g), o) in to.take(rows) {
-                    let columns = stats.iter().zip(&*sum).zip(&*product);
-                    for (((t, &g), &o), ((&v, &m), &h)) in to.iter_mut().zip(g).zip(o).zip(columns) {
-                        let value = gain / (v + STANDARDISE_EPS).sqrt() * (g - m - o * h);
-                        *t = if accumulate { *t + value } else { value };
-                    }
-                }
-            },
-            (),
-        );
+            }
+        });
         ws.grad[*y] = dy;
     }
 
@@ -86,7 +80,7 @@ impl Graph {
 
 /// Mean and biased variance of each column into `[mean…, var…]`, in two passes.
 #[inline(always)]
-pub(super) fn column_statistics((matrix, batch, width, stats): (&[f32], usize, usize, &mut [f32])) {
+pub(super) fn column_statistics(matrix: &[f32], batch: usize, width: usize, stats: &mut [f32]) {
     let (mean, var) = stats.split_at_mut(width);
     mean.fill(0.0);
     var.fill(0.0);

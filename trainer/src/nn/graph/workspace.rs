@@ -1,6 +1,9 @@
 //! What a pass works on: values and gradients, and the weights as the products read them.
 
-use super::super::pack::{groups_len, pack_panels, pack_panels_transposed, panels_len};
+use std::ops::Range;
+
+use super::super::pack::{PANEL, groups_len, pack_panels, pack_panels_transposed, panels_len};
+use super::super::parallel::{halves, join};
 use super::super::params::Params;
 use super::super::vector::vectorised;
 use super::{Graph, Op, Slot};
@@ -17,7 +20,7 @@ impl Graph {
             Op::Dense { x, y, lookup, .. } => {
                 let (n, k) = (self.widths[*y], self.widths[*x]);
                 dense.0 = dense.0.max(if *lookup { n * k } else { groups_len(n, batch) });
-                dense.1 = dense.1.max(panels_len(batch, k));
+                dense.1 = batch * PANEL;
                 Vec::new()
             }
             _ => Vec::new(),
@@ -39,12 +42,28 @@ impl Graph {
             left: vec![0.0; if train { dense.0 } else { 0 }],
             right: vec![0.0; if train { dense.1 } else { 0 }],
             gradient: vec![0.0; params],
+            outside: if train { self.outside(params) } else { Vec::new() },
         }
+    }
+
+    /// What is left of `0..params` without the parameters of this graph.
+    fn outside(&self, params: usize) -> Vec<Range<usize>> {
+        let mut own = Vec::new();
+        for op in &self.ops {
+            if let Op::Dense { w, b, .. } = op {
+                own.extend([w.clone(), b.clone()]);
+            }
+        }
+        own.sort_by_key(|range| range.start);
+        let starts = own.iter().map(|range| range.start).chain([params]);
+        let ends = [0].into_iter().chain(own.iter().map(|range| range.end));
+        ends.zip(starts).map(|(end, next)| end..next).filter(|gap| !gap.is_empty()).collect()
     }
 
     /// Room for the weights of this graph as the products read them; filled by [`refresh`](Self::refresh).
     pub fn packed(&self) -> Packed {
-        Packed { version: None, ops: vec![(Vec::new(), Vec::new()); self.ops.len()] }
+        let none = || vec![Vec::new(); self.ops.len()];
+        Packed { version: None, forward: none(), backward: none() }
     }
 
     /// Brings `packed` up to date with `params`. `train` packs for [`backward`](Self::backward) too.
@@ -53,28 +72,43 @@ impl Graph {
             return;
         }
         packed.version = Some((params.version(), train));
+        let Packed { forward, backward, .. } = packed;
+        let layers = || {
+            self.ops.iter().enumerate().filter_map(|(i, op)| match op {
+                Op::Dense { x, y, w, .. } => Some((i, *x, w.clone(), self.widths[*y], self.widths[*x])),
+                _ => None,
+            })
+        };
         params.with(|p| {
-            for (op, (forward, backward)) in self.ops.iter().zip(&mut packed.ops) {
-                if let Op::Dense { x, y, w, .. } = op {
-                    let (n, k) = (self.widths[*y], self.widths[*x]);
-                    forward.resize(panels_len(k, n), 0.0);
-                    pack_panels_transposed(&p[w.clone()], k, n, forward);
-                    if train && self.needs_grad[*x] {
-                        backward.resize(panels_len(n, k), 0.0);
-                        pack_panels(&p[w.clone()], n, k, backward);
-                    }
+            let mut forward = || {
+                for (i, _, w, n, k) in layers() {
+                    forward[i].resize(panels_len(k, n), 0.0);
+                    pack_panels_transposed(&p[w], k, n, &mut forward[i]);
                 }
+            };
+            let mut backward = || {
+                for (i, _, w, n, k) in layers().filter(|(_, x, ..)| train && self.needs_grad[*x]) {
+                    backward[i].resize(panels_len(n, k), 0.0);
+                    pack_panels(&p[w], n, k, &mut backward[i]);
+                }
+            };
+            if halves(p.len()) < p.len() {
+                join(forward, backward);
+            } else {
+                forward();
+                backward();
             }
         });
     }
 }
 
-/// The weights of a graph in the panels of [`crate::nn::kernel`], one pair (forward, backward) per layer.
+/// The weights of a graph in the panels of [`crate::nn::kernel`], for the forward and for the backward pass.
 #[derive(Clone, Debug)]
 pub struct Packed {
     /// Of the parameters they were made from; whether for training.
     pub(super) version: Option<(u64, bool)>,
-    pub(super) ops: Vec<(Vec<f32>, Vec<f32>)>,
+    pub(super) forward: Vec<Vec<f32>>,
+    pub(super) backward: Vec<Vec<f32>>,
 }
 
 /// Parameters as a pass reads them.
@@ -111,6 +145,8 @@ pub struct Workspace {
     pub(super) left: Vec<f32>,
     pub(super) right: Vec<f32>,
     pub(super) gradient: Vec<f32>,
+    /// Parameters that no layer of the graph has: their gradient is added up outside, the others' is set by the backward pass.
+    outside: Vec<Range<usize>>,
 }
 
 impl Workspace {
@@ -118,7 +154,7 @@ impl Workspace {
         assert!(batch <= self.capacity, "workspace for {} rows, batch of {batch}", self.capacity);
         self.batch = batch;
         self.given.fill(Given::Nothing);
-        self.gradient.fill(0.0);
+        self.outside.iter().for_each(|range| self.gradient[range.clone()].fill(0.0));
     }
 
     /// Rows of the last pass.
@@ -173,7 +209,7 @@ impl Workspace {
         &self.gradient
     }
 
-    /// The same, for losses and layers outside the graph to add to.
+    /// The same, for losses and layers outside the graph to add to; the forward pass has set what is theirs to zero.
     pub fn gradient_mut(&mut self) -> &mut [f32] {
         &mut self.gradient
     }
@@ -213,15 +249,12 @@ impl Workspace {
         let n = self.batch * graph.widths[slot];
         let add = std::mem::replace(&mut self.given[slot], Given::Plain) != Given::Nothing;
         let to = &mut self.grad[slot][..n];
-        vectorised(
-            |()| {
-                for ((t, &g), &o) in to.iter_mut().zip(dy).zip(other) {
-                    let value = f(g, o);
-                    *t = if add { *t + value } else { value };
-                }
-            },
-            (),
-        );
+        vectorised!({
+            for ((t, &g), &o) in to.iter_mut().zip(dy).zip(other) {
+                let value = f(g, o);
+                *t = if add { *t + value } else { value };
+            }
+        });
     }
 }
 
