@@ -3,7 +3,7 @@
 use crate::protocol::{CLASSIC_VALUES, FD_VALUES};
 
 /// How values travel.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum Profile {
     /// CAN FD, exact single precision.
     FdF32,

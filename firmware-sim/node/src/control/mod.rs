@@ -25,7 +25,7 @@ use crate::watch::{CrcWatch, Restarts};
 const FRAMES_PER_POLL: usize = 512;
 
 /// Where the node's time comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum TimeSource {
     /// The TICK frames (lockstep): the argument of [`ControlNode::poll`] is ignored, so a node that is linked in and one
     /// in an emulator behave alike to the byte. Without ticks no time passes.
