@@ -168,10 +168,10 @@ def stages():
         ),
         Stage(
             "peers",
-            "cantools, python-can and a Gymnasium plant against gadm-sim",
+            "cantools, python-can and a Gymnasium plant against gadm-sim; HyperQueue runs the job array of `gadm paper`",
             [
                 [".ci/python.sh"],
-                cargo("build", "--quiet", "-p", "gadm-sim"),
+                cargo("build", "--quiet", "--workspace", "--bins"),
                 ["target/python/bin/python", "tests/python/run.py"],
             ],
             needs=("python3", "not run: no python3 (Debian: apt-get install python3 python3-pip)", True),

@@ -10,13 +10,22 @@ MODELS = ["hopper-v5", "inverted-pendulum-v5", "moving"]
 PROFILES = ["fd-f32", "classic-i16"]
 
 
+def program(name, package):
+    target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+    path = Path(os.environ.get("GADM_BIN", target / "debug")) / name
+    if not path.exists():
+        raise RuntimeError(f"{path} is not there; build it with `cargo build -p {package}`")
+    return str(path)
+
+
 def sim_path():
     """The program `gadm-sim`."""
-    target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
-    path = Path(os.environ.get("GADM_BIN", target / "debug")) / "gadm-sim"
-    if not path.exists():
-        raise RuntimeError(f"{path} is not there; build it with `cargo build -p gadm-sim`")
-    return str(path)
+    return program("gadm-sim", "gadm-sim")
+
+
+def gadm_path():
+    """The program `gadm`."""
+    return program("gadm", "gadm-trainer")
 
 
 def sim(*words, code=0):

@@ -9,6 +9,7 @@ use rand::RngExt as _;
 use serde::{Deserialize, Serialize};
 
 use crate::error::TrainError;
+use crate::nn::normal;
 use crate::seed::Rng;
 
 /// When the value of an edge atom replaces the expectation (paper eq. 14 and its snap rule; specification 2.7).
@@ -201,6 +202,16 @@ impl ActionSpace {
         }
     }
 
+    /// Adds Gaussian noise of standard deviation `sigma`, cut to ±0.5, to the continuous slots (the authors' first exploration,
+    /// specification 4.4: `a + clip(N(0, σ²), -0.5, 0.5)`, cut to -1..=1).
+    pub fn gaussian(&self, sigma: f32, rng: &mut Rng, action: &mut [f32]) {
+        for (head, slot) in self.heads.iter().zip(action.iter_mut()) {
+            if let ActionHead::Continuous { .. } = head {
+                *slot = (*slot + (sigma * normal(rng)).clamp(-0.5, 0.5)).clamp(-1.0, 1.0);
+            }
+        }
+    }
+
     /// The action in native units, as the environment takes it.
     pub fn to_native(&self, action: &[f32], native: &mut [f32]) {
         for ((head, &a), n) in self.heads.iter().zip(action).zip(native) {
@@ -249,6 +260,30 @@ mod tests {
         assert_eq!(expectation(&with_probability(0, 0.91), 11, SnapRule::Edges), -1.0);
         assert_ne!(expectation(&with_probability(3, 0.95), 11, SnapRule::Edges), atom(3, 11));
         assert_eq!(expectation(&with_probability(3, 0.95), 11, SnapRule::Any), atom(3, 11));
+    }
+
+    #[test]
+    fn gaussian_noise_moves_continuous_slots_alone_and_by_half_at_most() {
+        let spec = gadm_envs::make("moving").unwrap().spec().clone();
+        let space = ActionSpace::new(&spec, ContinuousHead::Tanh, true);
+        let mut rng = crate::seed::SeedTree::new(1).stream("noise");
+        let n = 4000;
+        let (mut squares, mut furthest) = (0.0, 0.0_f32);
+        for _ in 0..n {
+            let mut action = [2.0, 0.0, 0.9];
+            space.gaussian(0.1, &mut rng, &mut action);
+            assert!(
+                action[0] == 2.0 && action[2] <= 1.0,
+                "{action:?}: a type has no noise, a value stays in its range"
+            );
+            squares += action[1] * action[1];
+            let mut far = [0.0; 3];
+            space.gaussian(9.0, &mut rng, &mut far);
+            furthest = furthest.max(far[1].abs());
+        }
+        let variance = squares / n as f32;
+        assert!((variance - 0.01).abs() < 0.001, "variance at sigma = 0.1: {variance}");
+        assert_eq!(furthest, 0.5, "the bound is met and not passed");
     }
 
     #[test]

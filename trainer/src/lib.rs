@@ -12,6 +12,7 @@ pub mod explain;
 pub mod export;
 pub mod metrics;
 pub mod nn;
+pub mod paper;
 pub mod plot;
 pub mod replay;
 pub mod report;

@@ -10,7 +10,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use gadm_trainer::TrainError;
 use gadm_trainer::config::TrainConfig;
-use gadm_trainer::metrics::jsonl::{JsonlSink, METRICS_FILE};
+use gadm_trainer::metrics::jsonl::{JsonlSink, METRICS_FILE, TIMING_FILE};
+use gadm_trainer::metrics::{keys, read_jsonl};
 use gadm_trainer::runner::{Run, checkpoint, train};
 use runs::{arrays, assert_same_run, last, metrics, options, resume, small, start, start_and_stop, write_arrays};
 
@@ -99,6 +100,12 @@ fn a_run_stopped_again_and_again_is_the_uninterrupted_one() {
     }
     assert!(sessions > 1, "never interrupted");
     assert_same_run(&whole, &parts);
+    let walls: Vec<f64> = read_jsonl(&parts.join(TIMING_FILE))
+        .unwrap()
+        .iter()
+        .filter_map(|(_, v)| v.get(keys::WALL_S).copied())
+        .collect();
+    assert!(walls.is_sorted(), "a session goes on with the clock of the one before: {walls:?}");
 }
 
 /// What SIGKILL leaves: a copy of the folder taken while the run goes on, the checkpoint older than the metrics, with a torn

@@ -11,7 +11,8 @@ use gadm_runtime::encode::AlignedImage;
 use gadm_trainer::TrainError;
 use gadm_trainer::atomic;
 use gadm_trainer::runner::checkpoint::{load_trained, save_pairs};
-use gadm_trainer::runner::{Evaluation, evaluate_policy_in, evaluate_watched};
+use gadm_trainer::runner::evaluate::Pairs;
+use gadm_trainer::runner::{Evaluation, evaluate_in, evaluate_policy_in, evaluate_recorded};
 use serde::Serialize;
 
 use super::{CRITERIA_MISSED, print_json, say};
@@ -83,9 +84,6 @@ struct Output<'a> {
     latent_counts: &'a [u64],
 }
 
-/// Observations and actions of one episode.
-type Pairs = (Vec<f32>, Vec<f32>);
-
 /// Writes the episodes whose return is at least `least`.
 fn record(
     path: &Path,
@@ -129,16 +127,13 @@ fn run(args: &Args, camera: Option<&Camera>) -> anyhow::Result<(&'static str, St
         let first = filmed(envs.remove(0));
         envs.insert(0, first);
         let spec = envs[0].spec().clone();
-        let mut pairs = vec![(Vec::new(), Vec::new()); episodes];
-        let evaluation = evaluate_watched(trained.actor(), envs, args.seed, |episode, obs, action| {
-            if args.record.is_some() {
-                pairs[episode].0.extend_from_slice(obs);
-                pairs[episode].1.extend_from_slice(action);
-            }
-        });
-        if let Some(path) = &args.record {
+        let evaluation = if let Some(path) = &args.record {
+            let (evaluation, pairs) = evaluate_recorded(trained.actor(), envs, args.seed);
             record(path, args.record_min, &evaluation, &pairs, (spec.obs_dim(), spec.action_dim()))?;
-        }
+            evaluation
+        } else {
+            evaluate_in(trained.actor(), envs, args.seed)
+        };
         return Ok(("float", env, evaluation));
     }
     anyhow::ensure!(args.record.is_none(), "--record: expected a run folder, found a policy file");

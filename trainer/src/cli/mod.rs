@@ -10,12 +10,14 @@ mod export;
 mod image;
 mod inspect;
 mod man;
+mod paper;
 mod plot;
 mod report;
 mod train;
 
 use std::io::Write as _;
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::{Parser, Subcommand};
 use gadm_envs::EnvError;
@@ -55,6 +57,8 @@ enum Command {
     Image(image::Args),
     /// Show what is in a policy file
     Inspect(inspect::Args),
+    /// Make the paper's figures again: run what is missing, draw, tabulate
+    Paper(paper::Args),
     /// Draw learning curves
     Plot(plot::Args),
     /// Write the HTML report of a run
@@ -93,6 +97,7 @@ pub fn main() -> ExitCode {
         Command::Export(args) => export::main(&args),
         Command::Image(args) => image::main(&args),
         Command::Inspect(args) => inspect::main(&args),
+        Command::Paper(args) => paper::main(&args, cli.quiet),
         Command::Plot(args) => plot::main(&args),
         Command::Report(args) => report::main(&args),
         Command::Env(command) => env::main(&command),
@@ -117,6 +122,17 @@ pub fn main() -> ExitCode {
             if env { ExitCode::from(ENVIRONMENT_LACKING) } else { ExitCode::FAILURE }
         }
     }
+}
+
+/// A flag that Ctrl-C, SIGTERM and SIGHUP set; the second of them ends the program at once.
+fn stop_on_interrupt() -> anyhow::Result<&'static AtomicBool> {
+    static STOP: AtomicBool = AtomicBool::new(false);
+    ctrlc::set_handler(|| {
+        if STOP.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    })?;
+    Ok(&STOP)
 }
 
 /// One line for people.

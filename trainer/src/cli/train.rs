@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::available_parallelism;
 
 use anyhow::Context as _;
@@ -15,7 +14,7 @@ use gadm_trainer::runner::progress::Style;
 use gadm_trainer::runner::train::CONFIG_FILE;
 use gadm_trainer::runner::{TrainOptions, train};
 
-use super::{print, print_json, say};
+use super::{print, print_json, say, stop_on_interrupt};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -29,8 +28,6 @@ Without --config, an environment's built-in configuration is used where there is
 --print-config shows the resolved one. Ctrl-C writes a checkpoint and stops; --resume goes
 on as if never stopped. The run folder holds config.toml, metrics.jsonl, timing.jsonl,
 TensorBoard events and checkpoints/.";
-
-static STOP: AtomicBool = AtomicBool::new(false);
 
 /// Arguments of `train`.
 #[derive(clap::Args)]
@@ -118,17 +115,12 @@ pub fn main(args: Args, quiet: bool) -> anyhow::Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let dir = args.out.unwrap_or_else(|| default_folder(&config));
-    ctrlc::set_handler(|| {
-        if STOP.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
-        }
-    })?;
+    let stop = stop_on_interrupt()?;
     say(&format!("{} {} in {}", if args.resume { "continuing" } else { "training" }, config.env, dir.display()));
     let gadm = config.algo == Algorithm::GadmDqn;
     let style = Style::detect(quiet);
     parallel::start(args.threads.map_or_else(|| available_parallelism().map_or(1, usize::from), usize::from));
-    let outcome =
-        train(&TrainOptions { config: Some(config), dir: dir.clone(), resume: args.resume, style, stop: &STOP })?;
+    let outcome = train(&TrainOptions { config: Some(config), dir: dir.clone(), resume: args.resume, style, stop })?;
     if let Some(best) = outcome.best_return {
         say(&format!("best evaluation: mean return {best:.2}"));
     }

@@ -1,5 +1,7 @@
 //! What learns: one variant per algorithm, each with its own settings.
 
+use std::path::PathBuf;
+
 use serde::{Deserialize, Serialize};
 
 use crate::algo::hppo::HppoConfig;
@@ -87,6 +89,14 @@ impl Algorithm {
             Self::Pdqn(_) => AlgorithmName::Pdqn,
             Self::Mpdqn(_) => AlgorithmName::Mpdqn,
             Self::Hppo(_) => AlgorithmName::Hppo,
+        }
+    }
+
+    /// The file with an expert's actions that it learns from, where it has one.
+    pub fn data_mut(&mut self) -> Option<&mut PathBuf> {
+        match self {
+            Self::DqnCluster(config) => config.data.as_mut(),
+            _ => None,
         }
     }
 

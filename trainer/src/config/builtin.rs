@@ -7,7 +7,12 @@ pub const BUILTIN: &[(&str, &str, &str)] = &[
     ("gadm-dqn", "moving", include_str!("../../configs/gadm-dqn-moving.toml")),
     ("gadm-dqn", "sliding", include_str!("../../configs/gadm-dqn-sliding.toml")),
     ("gadm-dqn", "hopper-v5", include_str!("../../configs/gadm-dqn-hopper-v5.toml")),
+    ("gadm-dqn", "hard-move-10", include_str!("../../configs/gadm-dqn-hard-move-10.toml")),
+    ("gadm-dqn", "half-cheetah-v5", include_str!("../../configs/gadm-dqn-half-cheetah-v5.toml")),
+    ("gadm-dqn", "ant-v5", include_str!("../../configs/gadm-dqn-ant-v5.toml")),
+    ("gadm-dqn", "humanoid-v5", include_str!("../../configs/gadm-dqn-humanoid-v5.toml")),
     ("gadm-dqn", "lunar-lander-continuous", include_str!("../../configs/gadm-dqn-lunar-lander-continuous.toml")),
+    ("td3", "lunar-lander-continuous", include_str!("../../configs/td3-lunar-lander-continuous.toml")),
     ("td3", "pendulum", include_str!("../../configs/td3-pendulum.toml")),
 ];
 

@@ -104,6 +104,9 @@ pub struct ExploreConfig {
     pub random: RandomChoice,
     /// Probability that the continuous part of an action is replaced by coins in {-1, +1}, drawn per environment.
     pub extreme_noise: f64,
+    /// Standard deviation σ of Gaussian noise on the continuous part (normalised), cut to ±0.5 before it is added; 0 is none. The
+    /// alternative to extreme noise in the paper's figure 11; the authors' code had 0.1.
+    pub gaussian_noise: f64,
 }
 
 impl Default for ExploreConfig {
@@ -114,6 +117,7 @@ impl Default for ExploreConfig {
             epsilon_decay: 1e5,
             random: RandomChoice::Latent,
             extreme_noise: 0.0,
+            gaussian_noise: 0.0,
         }
     }
 }
@@ -250,6 +254,10 @@ impl TrainConfig {
             if !(0.0..=1.0).contains(&value) {
                 return Err(TrainError::config(key, "a probability, 0 to 1", value));
             }
+        }
+        let sigma = self.explore.gaussian_noise;
+        if !(sigma.is_finite() && sigma >= 0.0) {
+            return Err(TrainError::config("explore.gaussian_noise", "a finite number, at least 0", sigma));
         }
         if self.explore.epsilon_decay.is_nan() || self.explore.epsilon_decay <= 0.0 {
             return Err(TrainError::config("explore.epsilon_decay", "above 0", self.explore.epsilon_decay));

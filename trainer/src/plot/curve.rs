@@ -1,7 +1,9 @@
 //! Learning curves: evaluation return over environment steps.
 
 use super::axis::{Axes, chart, padded};
-use super::theme::{Area, Entry, Swatch, data_color, draw_error, figure, height_with_legend, legend, units};
+use super::theme::{
+    Area, Entry, INK, LABEL_PX, MUTED, Swatch, data_color, draw_error, figure, font, height_with_legend, legend, units,
+};
 use super::{PlotError, PlotOptions};
 use crate::metrics::jsonl::METRICS_FILE;
 use crate::metrics::{keys, read_jsonl};
@@ -62,16 +64,7 @@ pub fn learning_curve(runs: &[RunCurve], options: &PlotOptions) -> Result<String
     if groups.is_empty() {
         return Err(PlotError::NoData("no run holds an evaluation"));
     }
-    let all = || groups.iter().flat_map(|group| group.summary.iter().chain(group.members()));
-    let last = all().map(|point| point.env_steps).fold(0.0, f64::max);
-    let axes = Axes {
-        x_name: "environment steps",
-        y_name: "evaluation return (reward)",
-        x: 0.0..if last > 0.0 { last } else { 1.0 },
-        y: padded(all().flat_map(|point| [point.mean - point.sd, point.mean + point.sd]), 0.05),
-        whole_x: true,
-        least_y_label_px: 0,
-    };
+    let axes = axes(&groups);
     let entries: Vec<Entry> = groups
         .iter()
         .enumerate()
@@ -81,18 +74,89 @@ pub fn learning_curve(runs: &[RunCurve], options: &PlotOptions) -> Result<String
     figure(options, height, |area| draw(area, &groups, &entries, &axes))
 }
 
+/// Axes that hold `groups`.
+fn axes(groups: &[Group<'_>]) -> Axes<'static> {
+    let all = || groups.iter().flat_map(|group| group.summary.iter().chain(group.members()));
+    let last = all().map(|point| point.env_steps).fold(0.0, f64::max);
+    Axes {
+        x_name: "environment steps",
+        y_name: "evaluation return (reward)",
+        x: 0.0..if last > 0.0 { last } else { 1.0 },
+        y: padded(all().flat_map(|point| [point.mean - point.sd, point.mean + point.sd]), 0.05),
+        whole_x: true,
+        least_y_label_px: 0,
+    }
+}
+
+/// One chart of several that share a legend.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CurvePanel {
+    /// Text above the chart.
+    pub title: String,
+    /// The runs; [`RunCurve::label`] is one of the legend's names.
+    pub runs: Vec<RunCurve>,
+}
+
+/// Draws charts side by side, three in a row at most, under one legend of `names`, in whose order the colours are given. A label
+/// with several runs is drawn as by [`learning_curve`]; a single run is a line without a band, for one seed has no deviation over
+/// seeds. Panels without a run are empty charts with a word about it. The size in `options` is that of a panel.
+///
+/// # Errors
+/// [`PlotError::NoData`] where no panel holds a run, [`PlotError::Draw`] from the plotting library.
+pub fn learning_curves(panels: &[CurvePanel], names: &[&str], options: &PlotOptions) -> Result<String, PlotError> {
+    if panels.iter().all(|panel| panel.runs.is_empty()) {
+        return Err(PlotError::NoData("no run holds an evaluation"));
+    }
+    let columns = match panels.len() {
+        n @ 0..=3 => n,
+        4 => 2,
+        _ => 3,
+    };
+    let rows = panels.len().div_ceil(columns);
+    let entry =
+        |(i, name): (usize, &&str)| Entry { name: (*name).to_owned(), color: data_color(i), swatch: Swatch::Band };
+    let entries: Vec<Entry> = names.iter().enumerate().map(entry).collect();
+    let whole = options.clone().with_size(options.width * columns as u32, options.height * rows as u32);
+    figure(&whole, height_with_legend(&entries, &whole), |area| {
+        let below = legend(area, &entries)?;
+        for (panel, area) in panels.iter().zip(below.split_evenly((rows, columns))) {
+            let (top, chart_area) = area.split_vertically(units(LABEL_PX + 10));
+            top.draw(&Text::new(panel.title.clone(), (units(8) as i32, 0), font(LABEL_PX, &INK.color())))
+                .map_err(draw_error)?;
+            let mut groups = group(&panel.runs);
+            groups.iter_mut().filter(|group| group.runs.len() == 1).for_each(Group::drop_band);
+            if groups.is_empty() {
+                let (at, muted) = ((units(8) as i32, units(8) as i32), MUTED.color());
+                chart_area.draw(&Text::new("no runs yet", at, font(LABEL_PX, &muted))).map_err(draw_error)?;
+                continue;
+            }
+            let color = |group: &Group<'_>| {
+                data_color(names.iter().position(|name| *name == group.runs[0].label).unwrap_or(names.len()))
+            };
+            let colors: Vec<RGBColor> = groups.iter().map(color).collect();
+            draw_groups(&chart_area, &groups, &colors, &axes(&groups))?;
+        }
+        Ok(())
+    })
+}
+
 fn draw(area: &Area<'_>, groups: &[Group<'_>], entries: &[Entry], axes: &Axes<'_>) -> Result<(), PlotError> {
     let below = legend(area, entries)?;
-    let mut chart = chart(&below, axes)?;
+    let colors: Vec<RGBColor> = entries.iter().map(|entry| entry.color).collect();
+    draw_groups(&below, groups, &colors, axes)
+}
+
+/// Draws `groups` in these colours on axes.
+fn draw_groups(area: &Area<'_>, groups: &[Group<'_>], colors: &[RGBColor], axes: &Axes<'_>) -> Result<(), PlotError> {
+    let mut chart = chart(area, axes)?;
     // Bands first, so that no line lies under another group's band.
-    for (i, group) in groups.iter().enumerate() {
+    for (group, color) in groups.iter().zip(colors) {
         let upper = group.summary.iter().map(|point| (point.env_steps, point.mean + point.sd));
         let lower = group.summary.iter().rev().map(|point| (point.env_steps, point.mean - point.sd));
-        let band = Polygon::new(upper.chain(lower).collect::<Vec<_>>(), data_color(i).mix(0.2));
+        let band = Polygon::new(upper.chain(lower).collect::<Vec<_>>(), color.mix(0.2));
         chart.draw_series([band]).map_err(draw_error)?;
     }
-    for (i, group) in groups.iter().enumerate() {
-        let color = data_color(i);
+    for (group, color) in groups.iter().zip(colors) {
         let line = |points: &[CurvePoint]| points.iter().map(|point| (point.env_steps, point.mean)).collect::<Vec<_>>();
         if group.runs.len() > 1 {
             for run in &group.runs {
@@ -126,6 +190,11 @@ impl Group<'_> {
     fn members(&self) -> impl Iterator<Item = &CurvePoint> {
         let thin = if self.runs.len() > 1 { &self.runs[..] } else { &[] };
         thin.iter().flat_map(|run| &run.points)
+    }
+
+    /// Leaves the line and takes the spread over episodes from it.
+    fn drop_band(&mut self) {
+        self.summary.iter_mut().for_each(|point| point.sd = 0.0);
     }
 
     fn name(&self) -> String {
@@ -228,6 +297,28 @@ mod tests {
             assert!(svg.contains(text), "{text}");
         }
         assert!(matches!(learning_curve(&[], &PlotOptions::new("")), Err(PlotError::NoData(_))));
+    }
+
+    #[test]
+    fn panels_share_a_legend_and_keep_the_colour_of_a_name() {
+        let panel = |title: &str, runs: &[RunCurve]| CurvePanel { title: title.into(), runs: runs.to_vec() };
+        let panels = [
+            panel("Moving", &[run("a", &[(0.0, 0.0), (9.0, 1.0)]), run("b", &[(0.0, 0.0), (9.0, 2.0)])]),
+            panel("Sliding", &[run("b", &[(0.0, 0.0), (9.0, 2.0)]), run("b", &[(0.0, 1.0), (9.0, 4.0)])]),
+            panel("HardMove", &[]),
+        ];
+        let svg = learning_curves(&panels, &["a", "b"], &PlotOptions::new("Figure").with_size(340, 300)).unwrap();
+        for text in ["Moving", "Sliding", "HardMove", "no runs yet", "width=\"1020\""] {
+            assert!(svg.contains(text), "{text}");
+        }
+        let content = &svg[svg.find("</style>").unwrap()..];
+        let lines = |i: usize| {
+            let RGBColor(r, g, b) = data_color(i);
+            content.matches(&format!("<polyline fill=\"none\" opacity=\"1\" stroke=\"#{r:02X}{g:02X}{b:02X}\"")).count()
+        };
+        // A line in the legend, and one where a panel has the name.
+        assert_eq!((lines(0), lines(1)), (2, 3), "{content}");
+        assert!(matches!(learning_curves(&panels[2..], &["a"], &PlotOptions::new("")), Err(PlotError::NoData(_))));
     }
 
     #[test]

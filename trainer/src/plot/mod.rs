@@ -14,7 +14,7 @@ mod theme;
 pub mod usage;
 
 pub use actions::action_error;
-pub use curve::{CurvePoint, RunCurve, learning_curve, read_run};
+pub use curve::{CurvePanel, CurvePoint, RunCurve, learning_curve, learning_curves, read_run};
 pub use episode::{Panel, Series, episode};
 pub use latents::{LatentPanel, by_latent};
 pub use map::{Map, Mark, Paint, map, maps};

@@ -59,6 +59,19 @@ pub fn evaluate_in(actor: &mut dyn Actor, envs: Vec<Box<dyn Env>>, seed: u64) ->
     evaluate_watched(actor, envs, seed, |_, _, _| {})
 }
 
+/// Observations and actions (normalised) of an episode, flat.
+pub type Pairs = (Vec<f32>, Vec<f32>);
+
+/// As [`evaluate_in`], and what was seen and done in each episode.
+pub fn evaluate_recorded(actor: &mut dyn Actor, envs: Vec<Box<dyn Env>>, seed: u64) -> (Evaluation, Vec<Pairs>) {
+    let mut pairs = vec![Pairs::default(); envs.len()];
+    let evaluation = evaluate_watched(actor, envs, seed, |episode, obs, action| {
+        pairs[episode].0.extend_from_slice(obs);
+        pairs[episode].1.extend_from_slice(action);
+    });
+    (evaluation, pairs)
+}
+
 /// As [`evaluate_in`]; `watch` sees every decision: episode, observation, action (normalised).
 pub fn evaluate_watched(
     actor: &mut dyn Actor,

@@ -15,7 +15,8 @@ pub use agent::Agent;
 pub use any::{AnyRun, new_run};
 pub use baseline::BaselineRun;
 pub use evaluate::{
-    Evaluation, check_fit, evaluate, evaluate_in, evaluate_policy, evaluate_policy_in, evaluate_watched,
+    Evaluation, check_fit, evaluate, evaluate_in, evaluate_policy, evaluate_policy_in, evaluate_recorded,
+    evaluate_watched,
 };
 pub use run::Run;
 pub use train::{Outcome, TrainOptions, train};

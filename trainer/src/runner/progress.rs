@@ -262,7 +262,7 @@ fn summary(env_steps: u64, total_steps: u64) -> String {
 }
 
 /// A count or rate with three to four significant digits: `12.3`, `960`, `1.25k`, `3.00M`.
-fn count(value: f64) -> String {
+pub(crate) fn count(value: f64) -> String {
     match value {
         value if value >= 999_500.0 => format!("{:.2}M", value / 1e6),
         value if value >= 9_995.0 => format!("{:.1}k", value / 1e3),
@@ -285,7 +285,7 @@ fn number(value: f64) -> String {
 }
 
 /// Seconds as `45 s`, `3 min 05 s`, `2 h 07 min`, `4 d 03 h`.
-fn duration(seconds: f64) -> String {
+pub fn duration(seconds: f64) -> String {
     let total = seconds.round() as u64;
     let (days, hours, minutes, seconds) = (total / 86_400, total / 3_600 % 24, total / 60 % 60, total % 60);
     match total {

@@ -264,7 +264,8 @@ impl Run {
     /// One step of every environment with ε-greedy latents and extreme noise; draws are per environment.
     fn collect_step(&mut self) -> Result<(), TrainError> {
         let n = self.envs.len();
-        let (epsilon, extreme) = (self.epsilon(), self.config.explore.extreme_noise);
+        let (epsilon, extreme, sigma) =
+            (self.epsilon(), self.config.explore.extreme_noise, self.config.explore.gaussian_noise as f32);
         let obs = self.envs.obs().to_vec();
         let mut codes = std::mem::take(&mut self.codes);
         self.agent.greedy(&obs, n, &mut codes);
@@ -289,6 +290,11 @@ impl Run {
                 if self.streams.noise.random_bool(extreme) {
                     self.agent.model.space().extreme(&mut self.streams.noise, action);
                 }
+            }
+        }
+        if sigma > 0.0 {
+            for action in self.actions.chunks_exact_mut(self.slots) {
+                self.agent.model.space().gaussian(sigma, &mut self.streams.noise, action);
             }
         }
         self.step_environments()?;

@@ -13,13 +13,14 @@ use super::progress::{Progress, Snapshot, Style};
 use crate::atomic;
 use crate::config::{TrainConfig, to_toml};
 use crate::error::TrainError;
-use crate::metrics::{JsonlSink, MetricsError, Record, TensorBoardSink, keys};
+use crate::metrics::jsonl::TIMING_FILE;
+use crate::metrics::{JsonlSink, MetricsError, Record, TensorBoardSink, keys, read_jsonl};
 use crate::seed::SeedTree;
 
 /// Name of the stored configuration in a run folder.
 pub const CONFIG_FILE: &str = "config.toml";
 /// Name of the file whose lock marks a run folder as in use.
-const LOCK_FILE: &str = "lock";
+pub const LOCK_FILE: &str = "lock";
 
 /// How to run.
 pub struct TrainOptions<'a> {
@@ -92,6 +93,21 @@ fn lock(dir: &Path) -> Result<File, TrainError> {
     Err(TrainError::RunLocked { path: dir.to_owned() })
 }
 
+/// Whether a process trains in the run folder `dir` now.
+pub fn in_use(dir: &Path) -> bool {
+    File::open(dir.join(LOCK_FILE)).is_ok_and(|file| matches!(file.try_lock(), Err(TryLockError::WouldBlock)))
+}
+
+/// Wall-clock time of the training in `dir` so far, s. A session that did not take over the clock of the one before it, as earlier
+/// versions of this program, starts where the clock goes back.
+pub fn trained_s(dir: &Path) -> f64 {
+    let records = read_jsonl(&dir.join(TIMING_FILE)).unwrap_or_default();
+    let times = records.iter().filter_map(|(_, values)| values.get(keys::WALL_S).copied());
+    let (earlier, last) =
+        times.fold((0.0, 0.0), |(earlier, last), t| if t < last { (earlier + last, t) } else { (earlier, t) });
+    earlier + last
+}
+
 /// Starts or resumes. The file is the lock on the folder.
 fn open(options: &TrainOptions) -> Result<(Box<dyn AnyRun>, Sinks, File), TrainError> {
     let dir = &options.dir;
@@ -156,6 +172,7 @@ fn first_difference(stored: &TrainConfig, given: &TrainConfig) -> String {
 #[expect(clippy::disallowed_methods, reason = "timing metrics")]
 pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
     let (mut run, mut sinks, _lock) = open(options)?;
+    let before_s = if options.resume { trained_s(&options.dir) } else { 0.0 };
     let start = Instant::now();
     let mut progress = Progress::new(run.config().steps, &run.config().env, options.style);
     let mut outcome = Outcome { env_steps: 0, interrupted: false, best_return: None, last: None, wall_s: 0.0 };
@@ -211,7 +228,7 @@ pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
                 });
                 outcome.last = Some(evaluation);
             }
-            record.push(keys::WALL_S, start.elapsed().as_secs_f64());
+            record.push(keys::WALL_S, before_s + start.elapsed().as_secs_f64());
             record.push(keys::ENV_STEPS_PER_S, rates.0);
             record.push(keys::UPDATES_PER_S, rates.1);
             sinks.write(&record)?;
