@@ -48,6 +48,7 @@ one waits for it; where the run is done, it ends at once.";
 /// Arguments of `paper`.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES, args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+#[expect(clippy::struct_excessive_bools, reason = "flags of a command line")]
 pub struct Args {
     #[command(subcommand)]
     command: Option<Command>,
@@ -297,7 +298,7 @@ fn sums(cost: &Cost, jobs: usize) -> String {
     let total = cost.done + cost.partial + cost.missing + cost.other;
     let mut text = format!("{} of {total} runs done, {} partial, {} missing", cost.done, cost.partial, cost.missing);
     if cost.other > 0 {
-        text += &format!(", {} with another configuration", cost.other);
+        text.push_str(&[", ", &cost.other.to_string(), " with another configuration"].concat());
     }
     if cost.steps_left > 0 {
         let assumed = match cost.assumed_s / cost.core_s {
@@ -305,12 +306,13 @@ fn sums(cost: &Cost, jobs: usize) -> String {
             x if x > 0.0 => format!("{:.0} % of it at an assumed speed", 100.0 * x),
             _ => "at the measured speed".to_owned(),
         };
-        text += &format!(
+        let left = format!(
             "; {} steps left, {} of one core, {assumed}, {} with {jobs} at once",
             cost.steps_left,
             duration(cost.core_s),
             duration(cost.core_s / jobs as f64)
         );
+        text.push_str(&left);
     }
     text
 }
@@ -349,7 +351,9 @@ fn dry_run(plan: &Plan, as_json: bool, jobs: usize) -> anyhow::Result<ExitCode> 
         }
         print(&sums(&cost, jobs))?;
     }
-    environment.iter().for_each(|text| say(text));
+    if let Some(text) = &environment {
+        say(text);
+    }
     Ok(if environment.is_some() { ExitCode::from(ENVIRONMENT_LACKING) } else { ExitCode::SUCCESS })
 }
 

@@ -106,7 +106,7 @@ pub fn run_all(plan: &Plan, options: &PoolOptions<'_>) -> Result<PoolOutcome, Pa
 /// Asks a run to write a checkpoint and stop, by the shell's `kill`, which every system has. The run may have ended by itself:
 /// until it is waited for, its number belongs to nobody else.
 fn interrupt(run: &Running) {
-    let _ = Command::new("sh").args(["-c", &format!("kill -s INT {} 2>/dev/null", run.process.id())]).status();
+    let _ = Command::new("sh").args(["-c", &format!("kill -s TERM {} 2>/dev/null", run.process.id())]).status();
 }
 
 fn start(plan: &Plan, index: usize, options: &PoolOptions<'_>) -> Result<Running, PaperError> {
@@ -238,9 +238,9 @@ mod tests {
         Plan::new(figure("demo").unwrap(), &options).unwrap()
     }
 
-    fn shell(text: String) -> Command {
+    fn shell(text: &str) -> Command {
         let mut command = Command::new("sh");
-        command.args(["-c", &text]);
+        command.args(["-c", text]);
         command
     }
 
@@ -252,7 +252,7 @@ mod tests {
         let command = |i: usize| {
             let code =
                 if plan.runs[i].name == "pendulum/gadm-dqn-small-seed1" { "echo no luck >&2; exit 1" } else { "" };
-            shell(format!("echo {i} >> {}; {code}", list.display()))
+            shell(&format!("echo {i} >> {}; {code}", list.display()))
         };
         let go = AtomicBool::new(false);
         let options = PoolOptions { jobs: 3, style: Style::Quiet, stop: &go, command: &command };
@@ -271,15 +271,15 @@ mod tests {
         }
     }
 
-    /// Processes that end on SIGINT with 130 as `gadm` does; the stop comes once two of them run.
+    /// Processes that end on SIGTERM with 130 as `gadm` does; the stop comes once two of them run.
     #[test]
     fn a_stop_interrupts_what_runs_and_starts_nothing_more() {
         let out = tempfile::tempdir().unwrap();
         let plan = plan(out.path());
         let started = out.path().join("started");
         let command = |i: usize| {
-            let wait = "sleep 60 & trap 'kill $!; exit 130' INT";
-            shell(format!("{wait}; echo {i} >> {}; wait", started.display()))
+            let wait = "sleep 60 & trap 'kill $!; exit 130' TERM";
+            shell(&format!("{wait}; echo {i} >> {}; wait", started.display()))
         };
         let stop = AtomicBool::new(false);
         let options = PoolOptions { jobs: 2, style: Style::Quiet, stop: &stop, command: &command };

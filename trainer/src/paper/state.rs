@@ -68,7 +68,10 @@ pub fn inspect(run: &PlannedRun) -> Status {
     status
 }
 
-/// The configuration in a run folder.
+/// The configuration in a run folder, from the text of its file.
+///
+/// # Errors
+/// What is wrong with it.
 pub fn stored(text: &str) -> Result<TrainConfig, String> {
     let layer = Layer::Toml { origin: CONFIG_FILE.to_owned(), text: text.to_owned() };
     resolve(&[layer]).map_err(|e| e.to_string())

@@ -163,7 +163,7 @@ fn slurm_script(figure: &str, run: &[String], name: &str, logs: &str, threads: u
         format!("--output={logs}/task-%a.log"),
         "--open-mode=append".to_owned(),
         "--requeue".to_owned(),
-        "--signal=B:INT@300".to_owned(),
+        "--signal=B:TERM@300".to_owned(),
     ] {
         // Writing into a `String` cannot fail.
         let _ = writeln!(text, "#SBATCH {option}");
@@ -255,7 +255,7 @@ mod tests {
         let array = array(&plan, Scheduler::Slurm, &run, 2).unwrap();
         assert_eq!(array.command[..3], ["sbatch", "--array", "0-2"].map(str::to_owned));
         let options: Vec<&str> = array.text.lines().filter_map(|line| line.strip_prefix("#SBATCH ")).collect();
-        assert!(options.contains(&"--cpus-per-task=2") && options.contains(&"--signal=B:INT@300"), "{options:?}");
+        assert!(options.contains(&"--cpus-per-task=2") && options.contains(&"--signal=B:TERM@300"), "{options:?}");
         assert!(
             array.text.ends_with("exec '/opt/my programs/gadm' paper run demo --seeds 1 \"$SLURM_ARRAY_TASK_ID\"\n"),
             "{}",
