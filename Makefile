@@ -2,7 +2,7 @@
 .PHONY: help setup demo test firmware bench-target bench-peers test-peers soak
 
 help:
-	@echo "make setup   bring or check what is needed: MuJoCo library, Rust targets (quick when all is there)"
+	@echo "make setup   bring or check what is needed: MuJoCo library, CMake, Rust targets (quick when all is there)"
 	@echo "make demo    learn, export and drive InvertedPendulum over the simulated bus; then fly Hopper"
 	@echo "make test    all checks and tests, cheapest first; STAGES=\"fmt clippy\" picks some (.ci/test.py --list)"
 	@echo "make firmware   the controller as firmware for three boards, in target/firmware; BOARDS=\"mps2-an386\" picks some"

@@ -42,7 +42,7 @@ impl Finding {
 
 /// Runs the command.
 pub(crate) fn main(args: &Args) -> anyhow::Result<ExitCode> {
-    let mut findings = vec![mujoco(), socketcan(), vcan(), can_interfaces(), serial(), can_utils()];
+    let mut findings = vec![mujoco(), box2d(), socketcan(), vcan(), can_interfaces(), serial(), can_utils()];
     findings.push(program(
         "QEMU for Arm",
         "nodes on an emulated board",
@@ -124,8 +124,9 @@ fn program(what: &'static str, for_what: &'static str, names: &[&str], fix: &str
     Finding::new(what, for_what, found.ok_or_else(|| format!("no {} in PATH", names.join(", "))), fix)
 }
 
-fn mujoco() -> Finding {
-    let found = match gadm_envs::make("inverted-pendulum-v5") {
+/// Whether an environment is in this build and can be stepped.
+fn physics(env: &str) -> Result<String, String> {
+    match gadm_envs::make(env) {
         Ok(mut env) => {
             let mut obs = vec![0.0; env.spec().obs_dim()];
             env.reset(0, &mut obs);
@@ -135,9 +136,17 @@ fn mujoco() -> Finding {
             finite.then(|| "steps a model".to_owned()).ok_or_else(|| "a step gives numbers that are none".to_owned())
         }
         Err(error) => Err(error.to_string()),
-    };
+    }
+}
+
+fn mujoco() -> Finding {
+    let found = physics("inverted-pendulum-v5");
     let fix = "make setup; a program without it: cargo build --no-default-features";
     Finding { needed: true, ..Finding::new("MuJoCo physics", "Hopper, InvertedPendulum, …", found, fix) }
+}
+
+fn box2d() -> Finding {
+    Finding::new("Box2D physics", "LunarLander", physics("lunar-lander"), "make setup; cargo build")
 }
 
 /// Names in a folder; none where it cannot be read.

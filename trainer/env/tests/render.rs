@@ -57,7 +57,10 @@ fn every_environment_draws_its_state() {
 
 #[test]
 fn a_restored_state_is_drawn_as_the_one_that_was_saved() {
-    for id in ["sliding", "pendulum", "hopper-v5", "ant-v5"].into_iter().filter(|id| make(id).is_ok()) {
+    for id in ["sliding", "pendulum", "lunar-lander-continuous", "hopper-v5", "ant-v5"]
+        .into_iter()
+        .filter(|id| make(id).is_ok())
+    {
         let mut env = make(id).unwrap();
         let mut obs = vec![0.0; env.spec().obs_dim()];
         env.reset(5, &mut obs);

@@ -31,8 +31,9 @@ fn runs(program: &str, arguments: &[&str]) -> Option<String> {
     Some(String::from_utf8_lossy(&out.stdout).lines().next().unwrap_or_default().trim().to_owned())
 }
 
-fn mujoco() -> Finding {
-    let (ok, text) = match gadm_envs::make("inverted-pendulum-v5") {
+/// Whether an environment of that physics engine is in this build and gives numbers.
+fn physics(what: &'static str, env: &str, needed: bool) -> Finding {
+    let (ok, text) = match gadm_envs::make(env) {
         Ok(mut env) => {
             let mut obs = vec![0.0; env.spec().obs_dim()];
             env.reset(0, &mut obs);
@@ -40,7 +41,7 @@ fn mujoco() -> Finding {
         }
         Err(error) => (false, error.to_string()),
     };
-    Finding { what: "MuJoCo physics", needed: true, ok, text }
+    Finding { what, needed, ok, text }
 }
 
 fn program(what: &'static str, name: &str, arguments: &[&str], fix: &str) -> Finding {
@@ -59,7 +60,8 @@ fn target(triple: &'static str) -> Finding {
 pub fn main(args: &Args) -> anyhow::Result<ExitCode> {
     let can = Path::new("/proc/net/can").exists();
     let findings = [
-        mujoco(),
+        physics("MuJoCo physics", "inverted-pendulum-v5", true),
+        physics("Box2D physics", "lunar-lander", false),
         program("git", "git", &["--version"], "for commits in cards: apt install git"),
         program("python3", "python3", &["--version"], "for `make setup`: apt install python3 python3-pip"),
         target("thumbv7em-none-eabihf"),
