@@ -99,6 +99,9 @@ fn names_and_settings_with_typing_errors() {
     says(&complaint("gadm", &["trian"], 2), &["train"]);
     let said = complaint("gadm", &["train", "--env", "moving", "--set", "dqn.gamma=1.5"], 1);
     says(&said, &["dqn.gamma", "0 to 1", "1.5"]);
+    says(&complaint("gadm", &["train", "--env", "moving", "--device", "gpu"], 2), &["cuda:N", "`gpu`"]);
+    let said = complaint("gadm", &["train", "--env", "moving", "--device", "cuda:1"], 1);
+    says(&said, &["cuda:1", "--features cuda", "--device cpu"]);
 }
 
 #[test]

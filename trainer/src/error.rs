@@ -106,6 +106,14 @@ pub enum TrainError {
     /// A file could not be written.
     #[error(transparent)]
     Write(#[from] crate::atomic::AtomicWriteError),
+    /// A device that cannot evaluate the networks.
+    #[error("device `{device}`: {reason}")]
+    Device {
+        /// As it was named.
+        device: String,
+        /// Why not, and what to do.
+        reason: String,
+    },
     /// The tensor library.
     #[error("candle: {0}")]
     Candle(#[from] candle_core::Error),

@@ -13,10 +13,11 @@ use gadm_trainer::config::TrainConfig;
 use gadm_trainer::discretizer::gadm::{ActionModel, Trunk, codetable::Codetable};
 use gadm_trainer::export::float_model;
 use gadm_trainer::metrics::{Record, keys, read_jsonl};
+use gadm_trainer::nn::Engine;
 use gadm_trainer::runner::checkpoint::load_trained;
 use gadm_trainer::runner::{Run, checkpoint, train::evaluation_seed};
 use gadm_trainer::seed::SeedTree;
-use runs::{arrays, last, small, start, write_arrays};
+use runs::{arrays, assert_same_update, last, metrics, small, start, write_arrays};
 
 fn rounds(run: &mut Run, n: usize) {
     for _ in 0..n {
@@ -58,6 +59,35 @@ fn the_warm_up_is_counted_and_its_phases_follow_each_other() {
     assert_eq!(run.counters.q_updates, 0, "less than a batch in D_RL");
     rounds(&mut run, 1);
     assert_eq!((run.d_rl.len(), run.counters.q_updates), (56, 4));
+}
+
+#[test]
+fn candle_on_a_device_gives_the_updates_of_the_fused_layers() {
+    for env in ["pendulum", "moving"] {
+        let mut config = small(env);
+        config.warmup.enabled = false;
+        (config.round.action_updates, config.round.confidence_updates, config.round.q_updates) = (1, 1, 1);
+        // Adam would turn a gradient that is nothing but rounding into a whole step.
+        config.action_model.adam.epsilon = 1e-2;
+        // Before the first update a code position hardly varies, and dividing by its deviation lifts every rounding above the
+        // tolerance; `nn/oracle.rs` compares the standardisation where it varies.
+        config.action_model.standardise = false;
+        // The first round with a batch is the first one with an update of any network.
+        config.collect.steps_per_round = 64;
+        assert_same_update(&config);
+    }
+}
+
+#[test]
+fn a_run_on_a_device_trains_to_its_end() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    Engine::Candle.start().unwrap();
+    let outcome = start(&run, &small("pendulum"));
+    Engine::Fused.start().unwrap();
+    let outcome = outcome.unwrap();
+    assert!(outcome.env_steps >= 1024 && outcome.best_return.is_some_and(f64::is_finite));
+    assert!(metrics(&run).lines().count() > 3);
 }
 
 #[test]

@@ -17,7 +17,7 @@ use gadm_trainer::config::{Algorithm, Layer, Schedule, TrainConfig, resolve::res
 use gadm_trainer::nn::AdamConfig;
 use gadm_trainer::runner::train::evaluation_seed;
 use gadm_trainer::runner::{checkpoint, evaluate, new_run};
-use runs::{arrays, assert_same_run, last, metrics, resume, start, write_arrays};
+use runs::{arrays, assert_same_run, assert_same_update, last, metrics, resume, start, write_arrays};
 
 fn adam() -> AdamConfig {
     AdamConfig { learning_rate: 1e-3, grad_clip: 0.0, ..AdamConfig::default() }
@@ -101,6 +101,25 @@ fn the_same_configuration_gives_the_same_run_and_the_seed_counts() {
         assert_same_run(&a, &b);
         start(&other, &TrainConfig { seed: 4, ..config }).unwrap();
         assert_ne!(metrics(&a), metrics(&other));
+    }
+}
+
+/// One update of each network per round, so that rounding has not had the time to grow.
+#[test]
+fn candle_on_a_device_gives_the_updates_of_the_fused_layers() {
+    for mut config in every_baseline() {
+        match &mut config.algo {
+            // Adam would turn a gradient that is nothing but rounding into a whole step of the network that the other one reads.
+            Algorithm::Td3(own) => (own.schedule.updates, own.policy_delay, own.critic_adam.epsilon) = (1, 1, 1e-2),
+            Algorithm::DqnManual(own) => own.schedule.updates = 1,
+            Algorithm::DqnCluster(own) => own.schedule.updates = 1,
+            Algorithm::Pdqn(own) | Algorithm::Mpdqn(MpdqnConfig { pdqn: own, .. }) => {
+                (own.schedule.updates, own.q_block, own.x_block, own.q_adam.epsilon) = (2, 1, 1, 1e-2);
+            }
+            Algorithm::Hppo(own) => (own.epochs, own.batch) = (1, own.steps_per_round),
+            Algorithm::GadmDqn => unreachable!("no baseline"),
+        }
+        assert_same_update(&config);
     }
 }
 

@@ -9,7 +9,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser};
 use gadm_trainer::config::builtin::builtin;
 use gadm_trainer::config::resolve::resolve;
 use gadm_trainer::config::{ALGORITHMS, Algorithm, AlgorithmName, Layer, TrainConfig, to_toml};
-use gadm_trainer::nn::parallel;
+use gadm_trainer::nn::{Engine, parallel};
 use gadm_trainer::runner::progress::Style;
 use gadm_trainer::runner::train::CONFIG_FILE;
 use gadm_trainer::runner::{TrainOptions, train};
@@ -60,6 +60,10 @@ pub struct Args {
     /// Threads that share the work of an update, 1 or 2; results are the same [default: as many as there are cores]
     #[arg(long, value_parser = clap::value_parser!(u8).range(1..=2), value_name = "N")]
     threads: Option<u8>,
+    /// What evaluates the networks: cpu (fused layers), candle (the reference, on the processor), cuda or cuda:N (a GPU through
+    /// candle; builds with feature `cuda`). Results agree up to rounding, so seeds give other runs
+    #[arg(long, default_value_t, value_name = "DEVICE")]
+    device: Engine,
     /// Print the resolved configuration and stop
     #[arg(long)]
     print_config: bool,
@@ -114,6 +118,7 @@ pub fn main(args: Args, quiet: bool) -> anyhow::Result<ExitCode> {
         print(to_toml(&config)?.trim_end())?;
         return Ok(ExitCode::SUCCESS);
     }
+    args.device.start()?;
     let dir = args.out.unwrap_or_else(|| default_folder(&config));
     let stop = stop_on_interrupt()?;
     say(&format!("{} {} in {}", if args.resume { "continuing" } else { "training" }, config.env, dir.display()));

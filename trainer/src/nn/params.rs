@@ -1,7 +1,7 @@
 //! The parameters of one model as one flat candle `Var` with named parts.
 //!
 //! Flat, because the optimiser, the target copy and the gradient norm are then single passes over one slice; a candle `Var`,
-//! because candle's autograd on the same storage is the oracle of every hand-written gradient (see [`super::oracle`]).
+//! because candle's autograd on the same storage is the oracle of every hand-written gradient (see `oracle.rs`).
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;

@@ -10,8 +10,9 @@ use std::sync::atomic::AtomicBool;
 use gadm_trainer::TrainError;
 use gadm_trainer::algo::dqn::TargetUpdate;
 use gadm_trainer::config::TrainConfig;
+use gadm_trainer::nn::Engine;
 use gadm_trainer::runner::progress::Style;
-use gadm_trainer::runner::{Outcome, TrainOptions, checkpoint, train};
+use gadm_trainer::runner::{Outcome, TrainOptions, checkpoint, new_run, train};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
 /// Every part of the algorithm with a few hundred updates; both buffers wrap around.
@@ -82,6 +83,34 @@ pub fn assert_same_run(a: &Path, b: &Path) {
         assert!(*array == right[name], "array `{name}` differs");
     }
     assert_eq!(left_state, right_state, "counters, random streams, environments");
+}
+
+/// Asserts that the run does the same whether the fused layers evaluate its networks or candle: first moments of the optimisers after
+/// the first update of each network, up to rounding.
+pub fn assert_same_update(config: &TrainConfig) {
+    let moments = |engine: Engine| {
+        let dir = tempfile::tempdir().unwrap();
+        engine.start().unwrap();
+        let mut run = new_run(config.clone()).unwrap();
+        Engine::Fused.start().unwrap();
+        run.prepare().unwrap();
+        while run.counters().q_updates == 0 {
+            run.round().unwrap().unwrap();
+        }
+        std::fs::create_dir_all(last(dir.path()).parent().unwrap()).unwrap();
+        run.save(dir.path()).unwrap();
+        let (arrays, _) = arrays(&last(dir.path()));
+        let moments = arrays.into_iter().filter(|(name, _)| name.ends_with("adam.m"));
+        moments.map(|(name, (_, bits))| (name, bits.into_iter().map(f32::from_bits).collect())).collect()
+    };
+    let [fused, candle]: [BTreeMap<String, Vec<f32>>; 2] = [Engine::Fused, Engine::Candle].map(moments);
+    assert!(!fused.is_empty() && fused.keys().eq(candle.keys()));
+    for (name, fused) in &fused {
+        let largest = fused.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
+        let apart = fused.iter().zip(&candle[name]).fold(0.0_f32, |m, (a, b)| m.max((a - b).abs()));
+        assert!(largest > 0.0, "{name}: nothing was learnt");
+        assert!(apart <= 1e-5 * largest, "{} {name}: apart by {apart}, largest {largest}", config.algo.name().id());
+    }
 }
 
 /// Writes a safetensors file of f32 arrays.

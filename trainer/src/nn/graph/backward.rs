@@ -26,11 +26,17 @@ impl Graph {
     /// # Panics
     /// Where the graph standardises.
     pub fn backward_values(&self, weights: Weights, ws: &mut Workspace) {
-        self.run_back(weights, ws, 0..self.ops.len(), true);
+        match &weights.packed.on_device {
+            Some(flat) => self.backward_on_device(flat, std::slice::from_mut(ws), true),
+            None => self.run_back(weights, ws, 0..self.ops.len(), true),
+        }
     }
 
     /// [`backward`](Self::backward) after [`forward_parts`](Self::forward_parts): every part gets the gradient of its own rows.
     pub fn backward_parts(&self, weights: Weights, parts: &mut [Workspace], rows: &[Range<usize>; parallel::PARTS]) {
+        if let Some(flat) = &weights.packed.on_device {
+            return self.backward_on_device(flat, parts, false);
+        }
         let mut end = self.ops.len();
         for start in self.cuts().rev().skip(1).chain([0]) {
             parallel::each(parts, rows, |ws, _| {

@@ -15,7 +15,9 @@ impl Graph {
     /// # Panics
     /// Where the workspace is smaller than `batch`.
     pub fn forward(&self, weights: Weights, ws: &mut Workspace, batch: usize, train: bool) {
-        if train {
+        if let Some(flat) = &weights.packed.on_device {
+            self.forward_on_device(flat, std::slice::from_mut(ws), &[0..batch, batch..batch], train);
+        } else if train {
             self.forward_parts(weights, std::slice::from_mut(ws), &[0..batch, batch..batch]);
         } else {
             ws.begin(batch);
@@ -28,6 +30,9 @@ impl Graph {
     /// # Panics
     /// Where a workspace is smaller than its part.
     pub fn forward_parts(&self, weights: Weights, parts: &mut [Workspace], rows: &[Range<usize>; parallel::PARTS]) {
+        if let Some(flat) = &weights.packed.on_device {
+            return self.forward_on_device(flat, parts, rows, true);
+        }
         let mut start = 0;
         for end in self.cuts() {
             parallel::each(parts, rows, |ws, rows| {

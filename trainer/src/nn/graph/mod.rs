@@ -1,14 +1,18 @@
 //! A fixed graph of fused layers with a hand-written backward pass: the one mechanism behind every network of the trainer.
 //!
 //! A graph is built once, knows where its parameters lie in a flat vector, and runs on a caller-owned [`Workspace`], so an
-//! update allocates nothing. The same list of layers is interpreted by candle in [`super::oracle`], whose autograd checks every
-//! gradient here.
+//! update allocates nothing. The same list of layers is interpreted by candle in `candle.rs`: on a device of its own where one
+//! was chosen ([`Engine`](super::device::Engine)), and in the tests, where its autograd checks every gradient here.
 
 use std::ops::Range;
 
+use candle_core::Device;
+
+use super::device;
 use super::params::{Init, ParamLayout};
 
 mod backward;
+mod candle;
 mod forward;
 mod lookup;
 mod standardise;
@@ -40,6 +44,27 @@ pub(super) enum Op {
     Quantise { x: usize, y: usize, table: Range<usize>, one_hot: bool },
 }
 
+impl Op {
+    fn output(&self) -> usize {
+        match self {
+            Self::Dense { y, .. }
+            | Self::Mul { y, .. }
+            | Self::Concat { y, .. }
+            | Self::Film { y, .. }
+            | Self::Standardise { y, .. }
+            | Self::Quantise { y, .. } => *y,
+        }
+    }
+
+    fn reads(&self, slot: usize) -> bool {
+        match self {
+            Self::Dense { x, .. } | Self::Standardise { x, .. } | Self::Quantise { x, .. } => *x == slot,
+            Self::Mul { a, b, .. } | Self::Concat { a, b, .. } => *a == slot || *b == slot,
+            Self::Film { x, scale, shift, .. } => [x, scale, shift].contains(&&slot),
+        }
+    }
+}
+
 /// The layers of a model, in order of computation.
 #[derive(Clone, Debug, Default)]
 pub struct Graph {
@@ -48,6 +73,8 @@ pub struct Graph {
     /// Whether a value is the output of a ReLU.
     pub(super) relu: Vec<bool>,
     pub(super) ops: Vec<Op>,
+    /// Where candle evaluates the graph; none for the fused layers.
+    device: Option<Device>,
 }
 
 /// Names of the parts a dense layer adds to a layout: `<name>.weight` (out x in) and `<name>.bias` (out).
@@ -71,9 +98,9 @@ pub struct DenseParams {
 }
 
 impl Graph {
-    /// An empty graph.
+    /// An empty graph, for the [`Engine`](super::device::Engine) that this thread has started.
     pub fn new() -> Self {
-        Self::default()
+        Self { device: device::current(), ..Self::default() }
     }
 
     fn slot(&mut self, width: usize, needs_grad: bool) -> Slot {

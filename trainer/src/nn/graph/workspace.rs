@@ -2,10 +2,13 @@
 
 use std::ops::Range;
 
+use candle_core::Var;
+
 use super::super::pack::{PANEL, groups_len, pack_panels, pack_panels_transposed, panels_len};
 use super::super::parallel::{halves, join};
 use super::super::params::Params;
 use super::super::vector::vectorised;
+use super::candle::{Traced, done};
 use super::{Graph, Op, Slot};
 
 impl Graph {
@@ -42,6 +45,7 @@ impl Graph {
             left: vec![0.0; if train { dense.0 } else { 0 }],
             right: vec![0.0; if train { dense.1 } else { 0 }],
             gradient: vec![0.0; params],
+            traced: None,
             outside: if train { self.outside(params) } else { Vec::new() },
         }
     }
@@ -63,7 +67,7 @@ impl Graph {
     /// Room for the weights of this graph as the products read them; filled by [`refresh`](Self::refresh).
     pub fn packed(&self) -> Packed {
         let none = || vec![Vec::new(); self.ops.len()];
-        Packed { version: None, forward: none(), backward: none() }
+        Packed { version: None, forward: none(), backward: none(), on_device: None }
     }
 
     /// Brings `packed` up to date with `params`. `train` packs for [`backward`](Self::backward) too.
@@ -72,6 +76,10 @@ impl Graph {
             return;
         }
         packed.version = Some((params.version(), train));
+        if let Some(device) = &self.device {
+            packed.on_device = Some(done(params.with(|p| Var::from_slice(p, p.len(), device))));
+            return;
+        }
         let Packed { forward, backward, .. } = packed;
         let layers = || {
             self.ops.iter().enumerate().filter_map(|(i, op)| match op {
@@ -102,13 +110,15 @@ impl Graph {
     }
 }
 
-/// The weights of a graph in the panels of [`crate::nn::kernel`], for the forward and for the backward pass.
+/// The weights of a graph in the panels of [`crate::nn::kernel`], for the forward and for the backward pass; or all of them on
+/// the device that candle evaluates the graph on.
 #[derive(Clone, Debug)]
 pub struct Packed {
     /// Of the parameters they were made from; whether for training.
     pub(super) version: Option<(u64, bool)>,
     pub(super) forward: Vec<Vec<f32>>,
     pub(super) backward: Vec<Vec<f32>>,
+    pub(super) on_device: Option<Var>,
 }
 
 /// Parameters as a pass reads them.
@@ -116,7 +126,7 @@ pub struct Packed {
 pub struct Weights<'a> {
     /// The flat vector.
     pub flat: &'a [f32],
-    /// The same in panels.
+    /// The same as the layers read them.
     pub packed: &'a Packed,
 }
 
@@ -145,6 +155,8 @@ pub struct Workspace {
     pub(super) left: Vec<f32>,
     pub(super) right: Vec<f32>,
     pub(super) gradient: Vec<f32>,
+    /// What candle's forward pass leaves for its backward pass.
+    pub(super) traced: Option<Traced>,
     /// Parameters that no layer of the graph has: their gradient is added up outside, the others' is set by the backward pass.
     outside: Vec<Range<usize>>,
 }
