@@ -10,7 +10,7 @@ use crate::atomic;
 use crate::plot::{CurvePanel, PlotError, PlotOptions, learning_curves};
 
 /// Width and height of a panel, CSS pixels.
-const PANEL_PX: (u32, u32) = (400, 340);
+const PANEL_PX: (u32, u32) = (420, 400);
 
 /// What was written.
 #[derive(Clone, Debug)]

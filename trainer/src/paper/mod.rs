@@ -83,17 +83,7 @@ pub enum PaperError {
         /// What went wrong, and what to do.
         reason: String,
     },
-    /// A file operation failed.
-    #[error("cannot {action} {}: {source}", path.display())]
-    Io {
-        /// What was tried.
-        action: &'static str,
-        /// On which path.
-        path: PathBuf,
-        /// The cause.
-        source: std::io::Error,
-    },
-    /// Training.
+    /// Training, or a file operation.
     #[error(transparent)]
     Train(#[from] Box<TrainError>),
     /// A configuration.
@@ -116,7 +106,6 @@ impl From<TrainError> for PaperError {
 impl PaperError {
     /// Wraps an I/O error with what was tried on which path.
     fn io(action: &'static str, path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
-        let path = path.into();
-        move |source| Self::Io { action, path, source }
+        move |source| TrainError::io(action, path)(source).into()
     }
 }

@@ -54,7 +54,7 @@ struct Running {
 /// Does the runs of `plan` that are not done.
 ///
 /// # Errors
-/// [`PaperError::Io`] where a process cannot be started; the others are stopped then, with checkpoints. A run that fails is no
+/// [`PaperError::Train`] where a process cannot be started; the others are stopped then, with checkpoints. A run that fails is no
 /// error here.
 pub fn run_all(plan: &Plan, options: &PoolOptions<'_>) -> Result<PoolOutcome, PaperError> {
     let mut outcome = PoolOutcome::default();

@@ -176,7 +176,7 @@ impl Array {
     /// Writes list, script and client.
     ///
     /// # Errors
-    /// [`PaperError::Io`], [`PaperError::Write`].
+    /// [`PaperError::Train`], [`PaperError::Write`].
     pub fn write(&self, plan: &Plan, run: &[String]) -> Result<(), PaperError> {
         let folder = self.script.parent().unwrap_or(Path::new("."));
         let logs = folder.join("logs");
