@@ -15,7 +15,7 @@ impl<R, F: FnOnce() -> R> WithSimd for Call<F> {
     }
 }
 
-/// See [`vectorised!`].
+/// See `vectorised!`.
 #[inline(always)]
 pub fn run_vectorised<R>(work: impl FnOnce() -> R) -> R {
     dispatch(Call(work))
