@@ -174,6 +174,7 @@ class WhatTheDatabaseSays(unittest.TestCase):
             self.assertEqual((act.frame_id, act.cycle_time, act.is_fd), (0x101, 8, True))
             self.assertEqual(db.get_message_by_name("HEARTBEAT").cycle_time, 100)
             self.assertEqual(observation.senders, ["PLANT"])
+            self.assertEqual(sorted(db.get_message_by_name("ESTOP").senders), ["HOST", "NODE", "PLANT"])
             height = observation.get_signal_by_name("torso_height")
             self.assertEqual((height.unit, height.minimum, height.maximum, height.is_float), ("m", 0, 2, True))
             self.assertEqual(act.get_signal_by_name("thigh").dbc.attributes["GadmSafeValue"].value, 0)

@@ -84,6 +84,9 @@ fn can_dbc_reads_the_same_messages() {
                 assert_eq!((a.factor, a.offset, a.unit.as_str()), (b.factor, b.offset, b.unit.as_str()));
             }
         }
+        let stops: Vec<_> =
+            parsed.message_transmitters.iter().map(|t| (t.message_id.raw(), t.transmitter.join(" "))).collect();
+        assert_eq!(stops, [0x10, 0x17].map(|id| (id, "HOST PLANT NODE".to_owned())), "of all nodes and of node 7");
         let floats = db.messages.iter().flat_map(|m| &m.signals).filter(|s| s.number == Number::Float).count();
         assert_eq!(parsed.signal_extended_value_type_list.len(), floats);
         let hash = format!("{:016x}", db.interface_hash);

@@ -41,7 +41,10 @@ pub(super) fn write(db: &Database) -> String {
 
 fn db_text(out: &mut String, db: &Database) -> std::fmt::Result {
     writeln!(out, "VERSION \"GADM {:016x} {}\"\n", db.interface_hash, db.profile.name())?;
-    writeln!(out, "NS_ :\n\tCM_\n\tBA_DEF_\n\tBA_\n\tVAL_\n\tVAL_TABLE_\n\tBA_DEF_DEF_\n\tSIG_VALTYPE_\n")?;
+    writeln!(
+        out,
+        "NS_ :\n\tBO_TX_BU_\n\tCM_\n\tBA_DEF_\n\tBA_\n\tVAL_\n\tVAL_TABLE_\n\tBA_DEF_DEF_\n\tSIG_VALTYPE_\n"
+    )?;
     writeln!(out, "BS_:\n\nBU_: HOST PLANT NODE\n")?;
     let table =
         |out: &mut String, name: &str, rows: &[(i64, String)]| writeln!(out, "VAL_TABLE_ {name}{};", values(rows));
@@ -50,11 +53,15 @@ fn db_text(out: &mut String, db: &Database) -> std::fmt::Result {
     table(out, "Page", &names(Page::ALL, Page::code, Page::name))?;
     writeln!(out)?;
     for message in &db.messages {
-        writeln!(out, "BO_ {} {}: {} {}", message.id, message.name, message.len, sender(message))?;
+        let first = senders(message).first().copied().unwrap_or_default();
+        writeln!(out, "BO_ {} {}: {} {first}", message.id, message.name, message.len)?;
         for signal in &message.signals {
             signal_line(out, message, signal)?;
         }
         writeln!(out)?;
+    }
+    for (message, senders) in db.messages.iter().map(|m| (m, senders(m))).filter(|(_, senders)| senders.len() > 1) {
+        writeln!(out, "BO_TX_BU_ {} : {};\n", message.id, senders.join(","))?;
     }
     comments(out, db)?;
     attributes(out, db)?;
@@ -71,18 +78,18 @@ fn signals(db: &Database) -> impl Iterator<Item = (&DbMessage, &DbSignal)> {
     db.messages.iter().flat_map(|m| m.signals.iter().map(move |s| (m, s)))
 }
 
-/// The word of the DBC format for a message without a sender of its own, spelt as its readers (cantools, can-dbc, CANdb++) want it.
-const NO_SENDER: &str = "Vector__XXX";
+/// Names of the participants for which `wanted` holds, in the order of [`ROLES`].
+fn participants(wanted: impl Fn(Role) -> bool) -> Vec<&'static str> {
+    ROLES.iter().filter(|(role, _)| wanted(*role)).map(|(_, name)| *name).collect()
+}
 
-/// The emergency stop comes from anybody, so it has no sender.
-fn sender(message: &DbMessage) -> &'static str {
-    ROLES.iter().find(|(role, _)| *role == message.from).map_or(NO_SENDER, |(_, name)| name)
+/// Who sends a message: everybody the emergency stop, one participant any other.
+fn senders(message: &DbMessage) -> Vec<&'static str> {
+    participants(|role| message.from == Role::Any || role == message.from)
 }
 
 fn receivers(message: &DbMessage) -> String {
-    let hears = |role: Role| if message.to == Role::Any { role != message.from } else { role == message.to };
-    let names: Vec<_> = ROLES.iter().filter(|(role, _)| hears(*role)).map(|(_, name)| *name).collect();
-    names.join(",")
+    participants(|role| if message.to == Role::Any { role != message.from } else { role == message.to }).join(",")
 }
 
 fn signal_line(out: &mut String, message: &DbMessage, s: &DbSignal) -> std::fmt::Result {
