@@ -14,7 +14,7 @@ use gadm_trainer::discretizer::gadm::{ActionModel, Trunk, codetable::Codetable};
 use gadm_trainer::export::float_model;
 use gadm_trainer::metrics::{Record, keys, read_jsonl};
 use gadm_trainer::nn::Engine;
-use gadm_trainer::runner::checkpoint::load_trained;
+use gadm_trainer::runner::checkpoint::{Networks, load_trained};
 use gadm_trainer::runner::{Run, checkpoint, train::evaluation_seed};
 use gadm_trainer::seed::SeedTree;
 use runs::{arrays, assert_same_update, last, metrics, small, start, write_arrays};
@@ -273,7 +273,7 @@ fn a_shared_trunk_is_read_and_exported() {
 
         let dir = tempfile::tempdir().unwrap();
         start(dir.path(), &config).unwrap();
-        let mut stored = load_trained(dir.path(), false).unwrap();
+        let mut stored = load_trained(dir.path(), Networks::Last).unwrap();
         let spec = gadm_envs::make("moving").unwrap().spec().clone();
         let model = float_model(&mut stored, &spec).unwrap();
         assert!(model.shared_trunk);
@@ -352,7 +352,7 @@ fn calibration_takes_the_newest_half_by_age() {
     let zeros = || vec![0.0; 500];
     assert!(run.d_rl.restore(120, &[obs.clone(), zeros(), zeros(), zeros(), zeros(), obs]));
     checkpoint::save(&run, dir.path()).unwrap();
-    let calibration = checkpoint::load_trained(dir.path(), false).unwrap().calibration;
+    let calibration = checkpoint::load_trained(dir.path(), Networks::Last).unwrap().calibration;
     let ranks: Vec<f32> = calibration.chunks(3).map(|o| o[0]).collect();
     assert_eq!(ranks, (250..500).map(|r| r as f32).collect::<Vec<_>>());
 }

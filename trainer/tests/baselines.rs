@@ -15,6 +15,7 @@ use gadm_trainer::algo::pdqn::{MpdqnConfig, PdqnConfig};
 use gadm_trainer::algo::td3::Td3Config;
 use gadm_trainer::config::{Algorithm, Layer, Schedule, TrainConfig, resolve::resolve, to_toml};
 use gadm_trainer::nn::AdamConfig;
+use gadm_trainer::runner::checkpoint::Networks;
 use gadm_trainer::runner::train::evaluation_seed;
 use gadm_trainer::runner::{checkpoint, evaluate, new_run};
 use runs::{arrays, assert_same_run, assert_same_update, last, metrics, resume, start, write_arrays};
@@ -142,16 +143,21 @@ fn an_interrupted_run_is_the_uninterrupted_one() {
 
 #[test]
 fn the_best_networks_of_a_folder_give_the_evaluation_of_training() {
-    for config in every_baseline() {
+    for mut config in every_baseline() {
+        config.track.snapshots = vec![0, config.steps];
         let dir = tempfile::tempdir().unwrap();
         let run = dir.path().join("run");
         let outcome = start(&run, &config).unwrap();
-        let mut trained = checkpoint::load_trained(&run, true).unwrap();
+        let mut trained = checkpoint::load_trained(&run, Networks::Best).unwrap();
         let again = evaluate(trained.actor(), &config.env, &config.env_options, 2, evaluation_seed(&config)).unwrap();
         assert_eq!(Some(again.mean()), outcome.best_return, "{}", config.algo.name().id());
-        let mut last = checkpoint::load_trained(&run, false).unwrap();
+        let mut last = checkpoint::load_trained(&run, Networks::Last).unwrap();
         let again = evaluate(last.actor(), &config.env, &config.env_options, 2, evaluation_seed(&config)).unwrap();
         assert_eq!(again.returns, outcome.last.unwrap().returns, "{}", config.algo.name().id());
+        assert_eq!(checkpoint::snapshots(&run), [0, config.steps]);
+        let mut kept = checkpoint::load_trained(&run, Networks::Snapshot(config.steps)).unwrap();
+        let same = evaluate(kept.actor(), &config.env, &config.env_options, 2, evaluation_seed(&config)).unwrap();
+        assert_eq!(same, again, "{}", config.algo.name().id());
         let refused = trained.agent().err().unwrap().to_string();
         assert!(refused.contains(config.algo.name().id()) && refused.contains("gadm eval"), "{refused}");
     }

@@ -12,11 +12,21 @@ use gadm_trainer::TrainError;
 use gadm_trainer::config::TrainConfig;
 use gadm_trainer::metrics::jsonl::{JsonlSink, METRICS_FILE, TIMING_FILE};
 use gadm_trainer::metrics::{keys, read_jsonl};
-use gadm_trainer::runner::{Run, checkpoint, train};
+use gadm_trainer::runner::checkpoint::Networks;
+use gadm_trainer::runner::{Run, checkpoint, evaluate, train};
 use runs::{arrays, assert_same_run, last, metrics, options, resume, small, start, start_and_stop, write_arrays};
 
 fn folder() -> tempfile::TempDir {
     tempfile::tempdir().unwrap()
+}
+
+/// Every snapshot of a run folder by its step: arrays bit for bit, and the state beside them.
+fn snapshots(dir: &Path) -> Vec<(u64, runs::Arrays, String)> {
+    let of = |step| {
+        let (arrays, state) = arrays(&checkpoint::path(dir, &checkpoint::snapshot(step)));
+        (step, arrays, state)
+    };
+    checkpoint::snapshots(dir).into_iter().map(of).collect()
 }
 
 #[test]
@@ -75,7 +85,8 @@ fn every_round_can_be_the_last_before_an_interruption() {
 fn a_run_stopped_again_and_again_is_the_uninterrupted_one() {
     let (whole, parts) = (folder(), folder());
     let (whole, parts) = (whole.path().join("run"), parts.path().join("run"));
-    let config = small("moving");
+    let mut config = small("moving");
+    config.track.snapshots = vec![0, 300, 700, 1024];
     start(&whole, &config).unwrap();
     assert_eq!(start_and_stop(&parts, &config).env_steps, 0);
     let mut sessions = 0;
@@ -102,6 +113,8 @@ fn a_run_stopped_again_and_again_is_the_uninterrupted_one() {
     }
     assert!(sessions > 1, "never interrupted");
     assert_same_run(&whole, &parts);
+    assert_eq!(checkpoint::snapshots(&whole), [0, 300, 700, 1024]);
+    assert!(snapshots(&whole) == snapshots(&parts), "snapshots");
     let walls: Vec<f64> = read_jsonl(&parts.join(TIMING_FILE))
         .unwrap()
         .iter()
@@ -118,6 +131,7 @@ fn a_killed_run_goes_on_from_its_newest_checkpoint() {
     let (whole, killed) = (whole.path().join("run"), killed.path().join("run"));
     let mut config = small("moving");
     config.track.checkpoint_every = 64;
+    config.track.snapshots = (1..16).map(|n| 64 * n + 1).collect();
     std::thread::scope(|scope| {
         let run = scope.spawn(|| start(&whole, &config).unwrap());
         let lines = || std::fs::read_to_string(whole.join(METRICS_FILE)).map_or(0, |text| text.lines().count());
@@ -129,6 +143,10 @@ fn a_killed_run_goes_on_from_its_newest_checkpoint() {
             std::fs::copy(whole.join(name), killed.join(name)).unwrap();
         }
         std::fs::copy(whole.join(METRICS_FILE), killed.join(METRICS_FILE)).unwrap();
+        // Among them some that the checkpoint does not know of yet.
+        for name in checkpoint::snapshots(&whole).into_iter().map(checkpoint::snapshot) {
+            std::fs::copy(checkpoint::path(&whole, &name), checkpoint::path(&killed, &name)).unwrap();
+        }
     });
     let mut text = metrics(&killed);
     text.push_str("{\"env_steps\":99");
@@ -140,6 +158,8 @@ fn a_killed_run_goes_on_from_its_newest_checkpoint() {
     assert!(before >= 256, "the copy was of a running run, step {before}");
     assert!(!half.exists(), "the leftover is removed");
     assert_same_run(&whole, &killed);
+    assert_eq!(checkpoint::snapshots(&whole).len(), 15);
+    assert!(snapshots(&whole) == snapshots(&killed), "none is lost, none differs");
 }
 
 #[test]
@@ -165,6 +185,37 @@ fn steps_can_be_extended_and_nothing_else_changed() {
     let done = resume(&parts, None).unwrap();
     assert!(!done.interrupted && done.env_steps == 1024, "a finished run stays as it is");
     assert_same_run(&whole, &parts);
+}
+
+#[test]
+fn snapshots_are_the_networks_of_their_step_and_change_nothing() {
+    let dir = folder();
+    let [whole, old, never] = ["whole", "old", "never"].map(|name| dir.path().join(name));
+    let plain = small("moving");
+    let mut config = plain.clone();
+    config.track.snapshots = vec![1024, 0, 300, 5000];
+    let outcome = start(&whole, &config).unwrap();
+    assert_eq!(checkpoint::snapshots(&whole), [0, 300, 1024]);
+    let loaded = |networks| checkpoint::load_trained(&whole, networks).unwrap();
+    let evaluated = |networks| {
+        let seed = gadm_trainer::runner::train::evaluation_seed(&config);
+        evaluate(loaded(networks).actor(), &config.env, &config.env_options, 2, seed).unwrap()
+    };
+    assert_eq!(loaded(Networks::Snapshot(300)).counters.env_steps, 320, "the round that reaches it ends there");
+    assert_eq!(evaluated(Networks::Snapshot(1024)), evaluated(Networks::Last));
+    assert_eq!(Some(evaluated(Networks::Snapshot(1024))), outcome.last);
+    let error = checkpoint::load_trained(&whole, Networks::Snapshot(7)).err().unwrap().to_string();
+    assert!(error.contains("step-7.safetensors") && error.contains("kept are: 0, 300, 1024"), "{error}");
+
+    // A folder from before there were snapshots, and one that is resumed without naming them.
+    start_and_stop(&old, &plain);
+    assert!(!std::fs::read_to_string(old.join("config.toml")).unwrap().contains("snapshots"));
+    let further = TrainConfig { steps: 512, ..config.clone() };
+    resume(&old, Some(&further)).unwrap();
+    resume(&old, Some(&plain)).unwrap();
+    assert_eq!(checkpoint::snapshots(&old), [0, 300, 1024]);
+    start(&never, &plain).unwrap();
+    assert_eq!(metrics(&never), metrics(&whole), "nothing is learned or measured differently");
 }
 
 #[test]
@@ -291,7 +342,7 @@ fn a_checkpoint_that_cannot_be_written_is_an_error_with_its_path_and_the_old_one
     // The last step, the renaming, fails: nothing of the attempt stays.
     let best = checkpoint::path(&run_dir, checkpoint::BEST);
     std::fs::create_dir(&best).unwrap();
-    let error = checkpoint::save_best(&run, &run_dir).unwrap_err();
+    let error = checkpoint::save_networks(&run, &run_dir, checkpoint::BEST).unwrap_err();
     assert!(error.to_string().contains(&best.display().to_string()), "{error}");
     let names: Vec<_> = std::fs::read_dir(&checkpoints).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert_eq!(names.len(), 2, "{names:?}");

@@ -15,13 +15,14 @@ use gadm_trainer::runner::evaluate::Pairs;
 use gadm_trainer::runner::{Evaluation, evaluate_in, evaluate_policy_in, evaluate_recorded};
 use serde::Serialize;
 
-use super::{CRITERIA_MISSED, print_json, say};
+use super::{CRITERIA_MISSED, networks, print_json, say};
 
 const EXAMPLES: &str = "\
 Examples:
   gadm eval runs/hopper-v5-seed0 --episodes 100
   gadm eval models/hopper-v5/policy.bin --episodes 20 --seed 7 --json
   gadm eval models/hopper-v5/policy.bin --episodes 1 --render hop.gif
+  gadm eval runs/hopper-v5-seed0 --snapshot 100000
   gadm eval runs/td3-hopper-v5-seed0 --episodes 1000 --record expert.safetensors --record-min 3500
 
 A run folder is evaluated with its float networks, a policy file in the device runtime. The
@@ -45,6 +46,9 @@ pub struct Args {
     /// Of a run: the last networks instead of those of its best evaluation
     #[arg(long)]
     last: bool,
+    /// Of a run: the networks kept at this environment step (setting track.snapshots)
+    #[arg(long, value_name = "STEP", conflicts_with = "last")]
+    snapshot: Option<u64>,
     /// Exit with 3 where the mean return is below X
     #[arg(long, value_name = "X", allow_negative_numbers = true)]
     min_return: Option<f64>,
@@ -108,7 +112,7 @@ fn run(args: &Args, camera: Option<&Camera>) -> anyhow::Result<(&'static str, St
         None => env,
     };
     if args.path.is_dir() {
-        let mut trained = load_trained(&args.path, !args.last)?;
+        let mut trained = load_trained(&args.path, networks(args.last, args.snapshot))?;
         let env = args.env.clone().unwrap_or_else(|| trained.config.env.clone());
         if env != trained.config.env {
             let own = gadm_envs::make(&trained.config.env)?.spec().clone();
@@ -137,6 +141,7 @@ fn run(args: &Args, camera: Option<&Camera>) -> anyhow::Result<(&'static str, St
         return Ok(("float", env, evaluation));
     }
     anyhow::ensure!(args.record.is_none(), "--record: expected a run folder, found a policy file");
+    anyhow::ensure!(args.snapshot.is_none(), "--snapshot: expected a run folder, found a policy file");
     let bytes = std::fs::read(&args.path)
         .with_context(|| format!("cannot read {}: give a run folder or a policy file", args.path.display()))?;
     let image = AlignedImage::new(&bytes);

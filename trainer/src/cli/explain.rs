@@ -8,7 +8,7 @@ use gadm_trainer::explain::{Subject, fly, page};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
-use super::{print_json, say};
+use super::{networks, print_json, say};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -40,6 +40,9 @@ pub struct Args {
     /// Step of the first episode at which Q, confidence and encoder are shown, from 0 [default: its middle]
     #[arg(long, value_name = "N")]
     step: Option<u32>,
+    /// Of a run: the networks kept at this environment step (setting track.snapshots) instead of those of its best evaluation
+    #[arg(long, value_name = "STEP")]
+    snapshot: Option<u64>,
     /// Print what the page says of usage, masks and layers as JSON
     #[arg(long)]
     json: bool,
@@ -47,7 +50,7 @@ pub struct Args {
 
 /// Runs `explain`.
 pub fn main(args: &Args, quiet: bool) -> anyhow::Result<ExitCode> {
-    let mut subject = Subject::open(&args.path, args.env.as_deref())?;
+    let mut subject = Subject::open(&args.path, networks(false, args.snapshot), args.env.as_deref())?;
     let bar = if quiet { ProgressBar::hidden() } else { ProgressBar::new(args.episodes.into()) };
     bar.set_style(ProgressStyle::with_template("{pos} of {len} episodes {bar:30} {per_sec}, ETA {eta}")?);
     let flight = fly(&subject, args.episodes as usize, args.seed, |done| bar.set_position(done as u64))?;

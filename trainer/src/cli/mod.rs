@@ -22,6 +22,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use clap::{Parser, Subcommand};
 use gadm_envs::EnvError;
 use gadm_trainer::TrainError;
+use gadm_trainer::runner::checkpoint::Networks;
 use serde::Serialize;
 
 /// A criterion was missed.
@@ -133,6 +134,15 @@ fn stop_on_interrupt() -> anyhow::Result<&'static AtomicBool> {
         }
     })?;
     Ok(&STOP)
+}
+
+/// Which networks of a run folder the options of a command name.
+fn networks(last: bool, snapshot: Option<u64>) -> Networks {
+    match snapshot {
+        Some(step) => Networks::Snapshot(step),
+        None if last => Networks::Last,
+        None => Networks::Best,
+    }
 }
 
 /// One line for people.

@@ -152,6 +152,10 @@ pub struct TrackConfig {
     pub checkpoint_every: u64,
     /// Stop once an evaluation's mean return reaches this.
     pub stop_at_return: Option<f64>,
+    /// Environment steps at which the networks are kept for good, each at the end of the round that reaches it; 0 is before the
+    /// first step. Not in a file that names none: what was written before there was this key stays the same.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub snapshots: Vec<u64>,
 }
 
 impl Default for TrackConfig {
@@ -162,6 +166,7 @@ impl Default for TrackConfig {
             log_every: 5_000,
             checkpoint_every: 100_000,
             stop_at_return: None,
+            snapshots: Vec::new(),
         }
     }
 }

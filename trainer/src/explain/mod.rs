@@ -22,7 +22,7 @@ use gadm_runtime::{Policy, Scratch, WeightKind};
 use crate::error::TrainError;
 use crate::export::float_model;
 use crate::runner::check_fit;
-use crate::runner::checkpoint::{Trained, load_trained};
+use crate::runner::checkpoint::{Networks, Trained, load_trained};
 
 /// A policy to look into.
 pub struct Subject {
@@ -41,14 +41,14 @@ pub struct Subject {
 }
 
 impl Subject {
-    /// A run folder or a policy file; `env` overrides the environment that it was trained in.
+    /// A run folder, of which `networks` are looked into, or a policy file; `env` overrides the environment that it was trained in.
     ///
     /// # Errors
     /// [`TrainError::Policy`] for a file that does not load or has no integers; those of loading and exporting a run.
-    pub fn open(path: &Path, env: Option<&str>) -> Result<Self, TrainError> {
+    pub fn open(path: &Path, networks: Networks, env: Option<&str>) -> Result<Self, TrainError> {
         let name = path.display().to_string();
         if path.is_dir() {
-            return Self::of_run(load_trained(path, true)?, name, env);
+            return Self::of_run(load_trained(path, networks)?, name, env);
         }
         let bytes = std::fs::read(path).map_err(TrainError::io("read", path))?;
         let image = AlignedImage::new(&bytes);

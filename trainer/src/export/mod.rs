@@ -18,7 +18,7 @@ use gadm_runtime::{Policy, ReturnStats};
 use crate::card::Parity;
 use crate::config::{TrainConfig, config_hash};
 use crate::error::TrainError;
-use crate::runner::checkpoint::{Trained, load_trained};
+use crate::runner::checkpoint::{Networks, Trained, load_trained};
 use crate::runner::origin::Origin;
 use crate::runner::{Evaluation, evaluate, evaluate_policy};
 
@@ -79,7 +79,7 @@ fn encode_error(error: &gadm_runtime::encode::EncodeError) -> TrainError {
 /// # Errors
 /// [`TrainError::Export`] for a model the device cannot hold; those of loading a run.
 pub fn export(dir: &Path, options: &ExportOptions) -> Result<Exported, TrainError> {
-    let mut trained = load_trained(dir, options.best)?;
+    let mut trained = load_trained(dir, if options.best { Networks::Best } else { Networks::Last })?;
     let config = trained.config.clone();
     let spec = gadm_envs::make_with(&config.env, &config.env_options)?.spec().clone();
     let mut model = float_model(&mut trained, &spec)?;

@@ -40,6 +40,8 @@ pub struct Task {
     pub eval_episodes: usize,
     /// Environment steps between checkpoints, which is what a killed run loses at most.
     pub checkpoint_every: u64,
+    /// Environment steps at which the networks are kept, for figures of how a policy came to be; those beyond a run's end never come.
+    pub snapshots: &'static [u64],
 }
 
 /// A way to learn.
@@ -71,17 +73,17 @@ pub struct Expert {
 }
 
 const fn task(env: &'static str, label: &'static str) -> Task {
-    Task { env, label, eval_every: 25_000, eval_episodes: 10, checkpoint_every: 50_000 }
+    Task { env, label, eval_every: 25_000, eval_episodes: 10, checkpoint_every: 50_000, snapshots: &[] }
 }
 
 /// A success rate of 10 episodes has steps of 10 %: 50 of these short ones cost less than 10 of a MuJoCo body.
 const fn hybrid(env: &'static str, label: &'static str) -> Task {
-    Task { env, label, eval_every: 25_000, eval_episodes: 50, checkpoint_every: 50_000 }
+    Task { eval_episodes: 50, ..task(env, label) }
 }
 
 /// A checkpoint with a full replay buffer has gigabytes there.
 const fn wide(env: &'static str, label: &'static str) -> Task {
-    Task { env, label, eval_every: 25_000, eval_episodes: 10, checkpoint_every: 250_000 }
+    Task { checkpoint_every: 250_000, ..task(env, label) }
 }
 
 const fn variant(
@@ -93,6 +95,11 @@ const fn variant(
     Variant { id, label, algo, settings, data: None }
 }
 
+/// Snapshots: specification 8.7.
+const LANDER: Task = Task {
+    snapshots: &[0, 100_000, 200_000, 500_000, 1_000_000, 3_000_000],
+    ..task("lunar-lander-continuous", "LunarLanderContinuous")
+};
 const GADM: Variant = variant("gadm-dqn", "GADM+DQN", "gadm-dqn", &[]);
 const TD3: Variant = variant("td3", "TD3", "td3", &[]);
 const DQN_MANUAL: Variant = variant("dqn-manual", "DQN, 3 bins a dimension", "dqn-manual", &[]);
@@ -203,7 +210,7 @@ pub const FIGURES: &[Figure] = &[
         id: "fig14",
         title: "LunarLander",
         about: "returns of GADM+DQN, TD3, and DQN on the cluster centres of an expert's actions on LunarLanderContinuous (the share of no-ops is not drawn)",
-        tasks: &[task("lunar-lander-continuous", "LunarLanderContinuous")],
+        tasks: &[LANDER],
         variants: &[
             TD3,
             GADM,
@@ -227,6 +234,7 @@ pub const FIGURES: &[Figure] = &[
             eval_every: 1_000,
             eval_episodes: 5,
             checkpoint_every: 1_000,
+            snapshots: &[],
         }],
         variants: &[
             variant("gadm-dqn-small", "GADM+DQN", "gadm-dqn", SMALL_GADM),

@@ -15,7 +15,7 @@ use super::state::{State, inspect, stored};
 use crate::config::TrainConfig;
 use crate::error::TrainError;
 use crate::metrics::jsonl::{METRICS_FILE, TIMING_FILE};
-use crate::runner::checkpoint::{self, load_trained, save_pairs};
+use crate::runner::checkpoint::{self, Networks, load_trained, save_pairs};
 use crate::runner::origin::ORIGIN_FILE;
 use crate::runner::progress::Style;
 use crate::runner::train::{CONFIG_FILE, LOCK_FILE, in_use};
@@ -87,12 +87,14 @@ fn train_to_end(run: &PlannedRun, style: Style, stop: &AtomicBool) -> Result<End
     Ok(Ended::Interrupted)
 }
 
-/// The stored configuration of a run with the steps that are wanted now.
+/// The stored configuration of a run with the steps and snapshots that are wanted now.
 fn continued(run: &PlannedRun) -> Result<TrainConfig, PaperError> {
     let path = run.dir.join(CONFIG_FILE);
     let text = std::fs::read_to_string(&path).map_err(PaperError::io("read", &path))?;
     let config = stored(&text).map_err(|detail| PaperError::OtherConfiguration { path: run.dir.clone(), detail })?;
-    Ok(TrainConfig { steps: run.steps, ..config })
+    let mut config = TrainConfig { steps: run.steps, ..config };
+    config.track.snapshots.clone_from(&run.config.track.snapshots);
+    Ok(config)
 }
 
 /// Removes what a process left that was killed between making the folder and its first checkpoint: nothing was learned in it.
@@ -132,7 +134,7 @@ fn record(run: &PlannedRun, by: &Expert, path: &Path, stop: &AtomicBool) -> Resu
     if path.exists() {
         return Ok(Ended::Complete);
     }
-    let mut expert = load_trained(&run.dir, true)?;
+    let mut expert = load_trained(&run.dir, Networks::Best)?;
     let env = || gadm_envs::make_with(&run.config.env, &run.config.env_options).map_err(TrainError::from);
     let envs = (0..by.episodes).map(|_| env()).collect::<Result<Vec<_>, _>>()?;
     let spec = envs[0].spec().clone();

@@ -165,6 +165,7 @@ fn planned(
         log_every: task.eval_every.min(5_000),
         checkpoint_every: task.checkpoint_every,
         stop_at_return: None,
+        snapshots: task.snapshots.to_vec(),
     };
     config.validate()?;
     let warmup = random_steps(&config);

@@ -85,6 +85,7 @@ fn difference(planned: &TrainConfig, stored: &TrainConfig) -> Option<String> {
         config.steps = planned.steps;
         config.track.checkpoint_every = planned.track.checkpoint_every;
         config.track.log_every = planned.track.log_every;
+        config.track.snapshots.clone_from(&planned.track.snapshots);
         let files = [config.warmup.data.as_mut(), config.algo.data_mut()];
         for path in files.into_iter().flatten() {
             *path = path.file_name().map(Into::into).unwrap_or_default();
@@ -211,6 +212,10 @@ mod tests {
         // Trained for longer than asked for.
         folder(run, &TrainConfig { steps: 9_000, ..run.config.clone() }, 9_000, &[1.0]);
         assert_eq!(inspect(run).state, State::Done);
+        // Of a program that kept no snapshots.
+        let mut kept = run.clone();
+        kept.config.track.snapshots = vec![0, 500];
+        assert_eq!(inspect(&kept).state, State::Done);
         folder(run, &TrainConfig { seed: 7, ..run.config.clone() }, 9_000, &[1.0]);
         assert_eq!(inspect(run).state, State::Other("there `seed = 7`, expected `seed = 0`".to_owned()));
     }

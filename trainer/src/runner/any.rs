@@ -15,8 +15,8 @@ pub trait AnyRun {
     /// Settings.
     fn config(&self) -> &TrainConfig;
 
-    /// Changes the number of steps to do, the only setting that may change when a run is resumed.
-    fn set_steps(&mut self, steps: u64);
+    /// Changes the number of steps to do and the snapshots to keep, the settings that may change when a run is resumed.
+    fn extend(&mut self, steps: u64, snapshots: Vec<u64>);
 
     /// Counters.
     fn counters(&self) -> &Counters;
@@ -54,11 +54,11 @@ pub trait AnyRun {
     /// [`TrainError::Checkpoint`] with the cause; the old file is then untouched.
     fn save(&mut self, dir: &Path) -> Result<(), TrainError>;
 
-    /// Writes the networks of the best evaluation.
+    /// Writes the networks alone, as the file `name` among the checkpoints: what an evaluation and an export need.
     ///
     /// # Errors
     /// As [`save`](Self::save).
-    fn save_best(&mut self, dir: &Path) -> Result<(), TrainError>;
+    fn save_networks(&mut self, dir: &Path, name: &str) -> Result<(), TrainError>;
 
     /// True when the configured steps are done.
     fn finished(&self) -> bool {
@@ -84,8 +84,9 @@ macro_rules! any_run_fields {
             &self.config
         }
 
-        fn set_steps(&mut self, steps: u64) {
+        fn extend(&mut self, steps: u64, snapshots: Vec<u64>) {
             self.config.steps = steps;
+            self.config.track.snapshots = snapshots;
         }
 
         fn counters(&self) -> &Counters {

@@ -240,7 +240,7 @@ impl AnyRun for BaselineRun {
         checkpoint::baseline::save(self, dir)
     }
 
-    fn save_best(&mut self, dir: &Path) -> Result<(), TrainError> {
-        checkpoint::baseline::save_best(self, dir)
+    fn save_networks(&mut self, dir: &Path, name: &str) -> Result<(), TrainError> {
+        checkpoint::baseline::save_networks(self, dir, name)
     }
 }

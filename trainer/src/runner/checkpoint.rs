@@ -1,8 +1,8 @@
 //! Checkpoints: one safetensors file with every array of a run, and the rest of its state as JSON in the header.
 //!
 //! A file is written beside the old one and renamed, so that a full disk or a kill leaves the old one. `last.safetensors` holds
-//! everything a run needs to go on as if never stopped; `best.safetensors` holds the networks of the best evaluation and a
-//! sample of observations for the export's calibration.
+//! everything a run needs to go on as if never stopped; `best.safetensors` and `step-N.safetensors` hold the networks of the best
+//! evaluation and of a snapshot, with a sample of observations for the export's calibration.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
@@ -16,15 +16,17 @@ use super::agent::Agent;
 use super::any::AnyRun;
 use super::bookkeeping::{Counters, NotFinite, Streams, Window};
 use super::run::Run;
-use crate::algo::{Actor, Learner};
 use crate::atomic;
-use crate::config::{Algorithm, AlgorithmName, TrainConfig};
+use crate::config::{AlgorithmName, TrainConfig};
 use crate::error::TrainError;
 use crate::nn::{Adam, Params};
 use crate::replay::{NStep, RL_COLUMNS};
 use gadm_envs::VecEnvState;
 
 pub mod baseline;
+mod trained;
+
+pub use trained::{Learned, Networks, Trained, load_trained, save_networks, snapshot, snapshots};
 
 /// Folder of the checkpoints in a run folder.
 pub const FOLDER: &str = "checkpoints";
@@ -210,13 +212,6 @@ struct RunState {
     calibration_rows: usize,
 }
 
-#[derive(Serialize, Deserialize)]
-struct BestState {
-    version: u32,
-    config: TrainConfig,
-    counters: Counters,
-}
-
 /// Path of a checkpoint in a run folder.
 pub fn path(dir: &Path, name: &str) -> PathBuf {
     dir.join(FOLDER).join(name)
@@ -373,121 +368,6 @@ fn parse<T: serde::de::DeserializeOwned>(state: &str) -> Result<T, String> {
         ));
     }
     serde_json::from_str(state).map_err(|e| format!("its run state is damaged ({e})"))
-}
-
-/// Writes the networks and calibration observations of the best evaluation, atomically.
-///
-/// # Errors
-/// As [`save`].
-pub fn save_best(run: &Run, dir: &Path) -> Result<(), TrainError> {
-    let mut arrays = Arrays::default();
-    arrays.networks(&run.agent);
-    let observations = calibration(run);
-    arrays.flat("calibration/obs", &observations);
-    write_best(dir, &arrays, &run.config, &run.counters)
-}
-
-fn write_best(dir: &Path, arrays: &Arrays, config: &TrainConfig, counters: &Counters) -> Result<(), TrainError> {
-    let file = path(dir, BEST);
-    let state = BestState { version: VERSION, config: config.clone(), counters: counters.clone() };
-    let state = serde_json::to_string(&state).map_err(|e| bad(&file)(e.to_string()))?;
-    write(&file, &arrays.to_bytes(state).map_err(bad(&file))?)
-}
-
-/// Up to 8,192 observations, evenly spread over the newest half of D_RL (or D_AR before there is any).
-fn calibration(run: &Run) -> Vec<f32> {
-    let (ar_next, pairs, _) = run.d_ar.arrays();
-    let (width, filled) = (run.envs.spec().obs_dim(), !run.d_rl.is_empty());
-    let (next, rows) = if filled { (run.d_rl.next(), run.d_rl.len()) } else { (ar_next, pairs.len() / width) };
-    let obs = |row: usize| if filled { run.d_rl.obs(row) } else { &pairs[row * width..(row + 1) * width] };
-    let newest = rows - rows / 2;
-    let take = newest.min(CALIBRATION_ROWS);
-    (0..take)
-        .flat_map(|i| {
-            // A full buffer's oldest row is the one that is overwritten next.
-            let row = (next + rows - newest + i * newest / take) % rows;
-            obs(row).iter().copied()
-        })
-        .collect()
-}
-
-/// What a run learned.
-pub enum Learned {
-    /// Action model, confidence predictor and Q-network.
-    GadmDqn(Box<Agent>),
-    /// The networks of a baseline.
-    Baseline(Box<dyn Learner>),
-}
-
-/// A trained policy with what the export needs.
-pub struct Trained {
-    /// Networks.
-    pub learned: Learned,
-    /// Settings of the run.
-    pub config: TrainConfig,
-    /// Counters when it was stored.
-    pub counters: Counters,
-    /// Observations for calibration, `N x obs_dim`.
-    pub calibration: Vec<f32>,
-}
-
-impl Trained {
-    /// The policy as an evaluation sees it.
-    pub fn actor(&mut self) -> &mut dyn Actor {
-        match &mut self.learned {
-            Learned::GadmDqn(agent) => agent.as_mut(),
-            Learned::Baseline(learner) => learner.actor(),
-        }
-    }
-
-    /// The agent of GADM + DQN, the algorithm whose policies run on a device.
-    ///
-    /// # Errors
-    /// [`TrainError::Export`] for another algorithm.
-    pub fn agent(&mut self) -> Result<&mut Agent, TrainError> {
-        match &mut self.learned {
-            Learned::GadmDqn(agent) => Ok(agent),
-            Learned::Baseline(_) => Err(TrainError::Export(format!(
-                "this run was trained with `{}`, and policy files hold those of gadm-dqn; evaluate it with gadm eval",
-                self.config.algo.name().id()
-            ))),
-        }
-    }
-}
-
-/// Loads the networks of a run: the best ones, or the last ones.
-///
-/// # Errors
-/// As [`load`].
-pub fn load_trained(dir: &Path, best: bool) -> Result<Trained, TrainError> {
-    let file = path(dir, BEST);
-    if !best || !file.exists() {
-        let file = path(dir, LAST);
-        let (arrays, state) = read(dir, LAST)?;
-        if algorithm(&state).map_err(unusable(&file))? != AlgorithmName::GadmDqn {
-            return Ok(baseline::restore(&file, arrays, &state)?.into_trained());
-        }
-        let run = restore(&file, arrays, &state)?;
-        let calibration = calibration(&run);
-        let learned = Learned::GadmDqn(Box::new(run.agent));
-        return Ok(Trained { calibration, config: run.config, counters: run.counters, learned });
-    }
-    let bad = unusable(&file);
-    let (mut arrays, state) = read(dir, BEST)?;
-    let state: BestState = parse(&state).map_err(&bad)?;
-    let spec = gadm_envs::make_with(&state.config.env, &state.config.env_options)?.spec().clone();
-    if state.config.algo != Algorithm::GadmDqn {
-        let mut learner = super::baseline::learner(&state.config, &spec)?;
-        baseline::load_networks(&mut arrays, learner.as_mut()).map_err(&bad)?;
-        let learned = Learned::Baseline(learner);
-        return Ok(Trained { learned, config: state.config, counters: state.counters, calibration: Vec::new() });
-    }
-    let mut agent = Agent::new(&state.config, &spec)?;
-    arrays.load_networks(&mut agent).map_err(&bad)?;
-    agent.confidence_updates = state.counters.confidence_updates;
-    let calibration = arrays.take("calibration/obs").map_err(&bad)?;
-    let learned = Learned::GadmDqn(Box::new(agent));
-    Ok(Trained { learned, config: state.config, counters: state.counters, calibration })
 }
 
 /// Saves the batch behind a number that is not finite: every array by name, rows x width.

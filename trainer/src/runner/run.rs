@@ -480,7 +480,7 @@ impl AnyRun for Run {
         checkpoint::save(self, dir)
     }
 
-    fn save_best(&mut self, dir: &Path) -> Result<(), TrainError> {
-        checkpoint::save_best(self, dir)
+    fn save_networks(&mut self, dir: &Path, name: &str) -> Result<(), TrainError> {
+        checkpoint::save_networks(self, dir, name)
     }
 }

@@ -1,6 +1,7 @@
 //! Drives a run in its folder: rounds, metrics, evaluation, checkpoints, interruption.
 
 use std::fs::{File, TryLockError};
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -24,7 +25,8 @@ pub const LOCK_FILE: &str = "lock";
 
 /// How to run.
 pub struct TrainOptions<'a> {
-    /// Settings of a new run. When resuming, `None` takes the stored ones; `Some` must equal them but for `steps`.
+    /// Settings of a new run. When resuming, `None` takes the stored ones; `Some` must equal them but for `steps`, and
+    /// may have further `track.snapshots`.
     pub config: Option<TrainConfig>,
     /// Run folder.
     pub dir: PathBuf,
@@ -115,15 +117,19 @@ fn open(options: &TrainOptions) -> Result<(Box<dyn AnyRun>, Sinks, File), TrainE
         let mut run = checkpoint::load_any(dir)?;
         let lock = lock(dir)?;
         if let Some(config) = &options.config {
-            let same = TrainConfig { steps: run.config().steps, ..config.clone() };
+            let mut same = TrainConfig { steps: run.config().steps, ..config.clone() };
+            same.track.snapshots.clone_from(&run.config().track.snapshots);
             if same != *run.config() {
                 return Err(TrainError::ConfigChanged {
                     path: dir.clone(),
                     detail: first_difference(run.config(), &same),
                 });
             }
-            if config.steps != run.config().steps {
-                run.set_steps(config.steps);
+            let mut snapshots = same.track.snapshots;
+            let stored = snapshots.len();
+            snapshots.extend(config.track.snapshots.iter().filter(|step| !run.config().track.snapshots.contains(step)));
+            if config.steps != run.config().steps || snapshots.len() > stored {
+                run.extend(config.steps, snapshots);
                 let text = to_toml(run.config()).map_err(TrainError::ConfigFile)?;
                 atomic::write(&dir.join(CONFIG_FILE), text.as_bytes()).map_err(TrainError::Write)?;
             }
@@ -180,6 +186,9 @@ pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
     let target = run.config().track.stop_at_return;
     let mut reached = target.is_some_and(|target| run.counters().last_return.is_some_and(|last| last >= target));
     let mut recent = (None, None);
+    if run.counters().env_steps == 0 {
+        keep_snapshots(run.as_mut(), &options.dir, 0..=0)?;
+    }
     while !run.finished() && !reached {
         if options.stop.load(Ordering::Relaxed) {
             outcome.interrupted = true;
@@ -214,7 +223,7 @@ pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
                 // A return that is not a number is better than nothing and worse than any other.
                 if run.counters().best_return.is_none_or(|best| evaluation.mean() > best || best.is_nan()) {
                     run.counters_mut().best_return = Some(evaluation.mean());
-                    run.save_best(&options.dir)?;
+                    run.save_networks(&options.dir, checkpoint::BEST)?;
                 }
                 record.push(keys::EVAL_RETURN_BEST, run.counters().best_return.unwrap_or(f64::NAN));
                 progress.suspend(|| {
@@ -233,6 +242,8 @@ pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
             record.push(keys::UPDATES_PER_S, rates.1);
             sinks.write(&record)?;
         }
+        // Before the checkpoint: a run that is killed in between goes on from an older one and comes by here again.
+        keep_snapshots(run.as_mut(), &options.dir, before + 1..=now)?;
         if crossed(run.config().track.checkpoint_every) {
             sinks.jsonl.sync().map_err(metrics_error)?;
             run.save(&options.dir)?;
@@ -249,6 +260,12 @@ pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
         format!("done: {} steps in {:.0} s", outcome.env_steps, outcome.wall_s)
     });
     Ok(outcome)
+}
+
+/// Writes the networks for every snapshot whose step is in `steps`.
+fn keep_snapshots(run: &mut dyn AnyRun, dir: &Path, steps: RangeInclusive<u64>) -> Result<(), TrainError> {
+    let due: Vec<u64> = run.config().track.snapshots.iter().copied().filter(|step| steps.contains(step)).collect();
+    due.into_iter().try_for_each(|step| run.save_networks(dir, &checkpoint::snapshot(step)))
 }
 
 fn evaluate_run(run: &mut dyn AnyRun, record: &mut Record) -> Result<Evaluation, TrainError> {

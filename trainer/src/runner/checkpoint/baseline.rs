@@ -4,7 +4,8 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Arrays, LAST, Learned, Trained, VERSION, bad, parse, path, unusable, write, write_best};
+use super::trained::write_networks;
+use super::{Arrays, LAST, Learned, Trained, VERSION, bad, parse, path, unusable, write};
 use crate::algo::Learner;
 use crate::config::TrainConfig;
 use crate::error::TrainError;
@@ -57,14 +58,14 @@ pub fn save(run: &mut BaselineRun, dir: &Path) -> Result<(), TrainError> {
     write(&file, &arrays.to_bytes(state).map_err(bad(&file))?)
 }
 
-/// Writes the networks of the best evaluation, atomically.
+/// Writes the networks alone, atomically.
 ///
 /// # Errors
 /// As [`save`].
-pub fn save_best(run: &mut BaselineRun, dir: &Path) -> Result<(), TrainError> {
+pub fn save_networks(run: &mut BaselineRun, dir: &Path, name: &str) -> Result<(), TrainError> {
     let mut arrays = Arrays::default();
     networks(&mut arrays, run.learner.as_mut());
-    write_best(dir, &arrays, &run.config, &run.counters)
+    write_networks(&path(dir, name), &arrays, &run.config, &run.counters)
 }
 
 fn networks(arrays: &mut Arrays, learner: &mut dyn Learner) {
