@@ -182,6 +182,20 @@ impl ActionSpace {
         }
     }
 
+    /// Squared distance of `other` from `action`: of the continuous slots that have an effect in `action`, and the square of the
+    /// range for every type or switch that differs.
+    pub fn distance(&self, action: &[f32], other: &[f32]) -> f32 {
+        let slots = self.heads.iter().zip(action.iter().zip(other)).enumerate();
+        slots
+            .map(|(slot, (head, (a, b)))| match head {
+                ActionHead::Continuous { .. } if self.counts(action, slot) => (a - b) * (a - b),
+                ActionHead::Continuous { .. } => 0.0,
+                _ if a == b => 0.0,
+                _ => 4.0,
+            })
+            .sum()
+    }
+
     /// A uniformly random action: every type, switch and normalised value equally likely.
     pub fn random(&self, rng: &mut Rng, action: &mut [f32]) {
         for (head, slot) in self.heads.iter().zip(action.iter_mut()) {
@@ -284,6 +298,16 @@ mod tests {
         let variance = squares / n as f32;
         assert!((variance - 0.01).abs() < 0.001, "variance at sigma = 0.1: {variance}");
         assert_eq!(furthest, 0.5, "the bound is met and not passed");
+    }
+
+    #[test]
+    fn the_distance_counts_types_and_what_has_an_effect() {
+        let spec = gadm_envs::make("moving").unwrap().spec().clone();
+        let space = ActionSpace::new(&spec, ContinuousHead::Tanh, true);
+        let turn = [1.0, 0.7, -0.5];
+        assert_eq!(space.distance(&turn, &[1.0, -0.9, 0.0]), 0.25, "turning does not use the acceleration");
+        assert_eq!(space.distance(&turn, &[0.0, 0.7, -0.5]), 4.0);
+        assert_eq!(space.distance(&[0.0, 0.5, 0.1], &[2.0, 0.0, 0.9]), 4.25, "what counts is the first one's");
     }
 
     #[test]

@@ -71,12 +71,33 @@ pub struct RoundConfig {
     pub batch: usize,
     /// Assign a latent to every sampled action anew (latent action remapping); false trains on the latent of collection time.
     pub remap: bool,
+    /// Which latent that is.
+    pub assign: Assignment,
 }
 
 impl Default for RoundConfig {
     fn default() -> Self {
-        Self { action_updates: 50, confidence_updates: 10, q_updates: 50, batch: 512, remap: true }
+        Self {
+            action_updates: 50,
+            confidence_updates: 10,
+            q_updates: 50,
+            batch: 512,
+            remap: true,
+            assign: Assignment::Encoded,
+        }
     }
+}
+
+/// The latent that a stored action gets when it is remapped.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Assignment {
+    /// The encoder's (paper).
+    #[default]
+    Encoded,
+    /// The encoder's or the one chosen at collection, whichever decodes nearer to the stored action; the chosen one where both
+    /// are as near. What a latent does is then learned for that latent, even where the encoder puts its action elsewhere.
+    Nearest,
 }
 
 /// What an ε-random choice is.

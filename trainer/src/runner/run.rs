@@ -11,7 +11,7 @@ use super::any::{AnyRun, any_run_fields};
 use super::bookkeeping::{Counters, NotFinite, Streams, Window, finite, push_means, step_environments};
 use super::checkpoint;
 use crate::algo::Actor;
-use crate::config::{Algorithm, EpsilonConfig, RandomChoice, TrainConfig};
+use crate::config::{Algorithm, Assignment, EpsilonConfig, RandomChoice, TrainConfig};
 use crate::error::TrainError;
 use crate::metrics::{Record, keys};
 use crate::replay::{ActionBuffer, NStep, RlBatch, RlBuffer};
@@ -392,6 +392,10 @@ impl Run {
         let mut codes = std::mem::take(&mut self.codes);
         if self.config.round.remap {
             self.agent.model.encode(&self.batch.obs, &self.batch.actions, &mut codes);
+            if self.config.round.assign == Assignment::Nearest {
+                let chosen: Vec<u32> = self.batch.codes.iter().map(|&c| c as u32).collect();
+                self.agent.model.keep_nearer(&self.batch.obs, &self.batch.actions, &chosen, &mut codes);
+            }
             let changed = codes.iter().zip(&self.batch.codes).filter(|(a, b)| **a != **b as u32).count();
             self.window.add(keys::REMAPPED, changed as f64 / n as f64);
         } else {

@@ -421,6 +421,27 @@ impl ActionModel {
         }
     }
 
+    /// Puts the latent `chosen` in the place of the one in `codes` where it decodes at least as near to the action, without
+    /// snapping. Decodes only the rows in which the two differ.
+    pub fn keep_nearer(&mut self, obs: &[f32], actions: &[f32], chosen: &[u32], codes: &mut [u32]) {
+        let (slots, width) = (self.space.slots(), self.obs_dim);
+        let differ: Vec<usize> = (0..codes.len()).filter(|&i| codes[i] != chosen[i]).collect();
+        let states: Vec<f32> = differ.iter().flat_map(|&i| &obs[i * width..(i + 1) * width]).copied().collect();
+        let distances = |model: &mut Self, latents: Vec<u32>| -> Vec<f32> {
+            let mut decoded = vec![0.0; latents.len() * slots];
+            model.decode(&states, &latents, &mut decoded, false);
+            let rows = differ.iter().zip(decoded.chunks_exact(slots));
+            rows.map(|(&i, other)| model.space.distance(&actions[i * slots..(i + 1) * slots], other)).collect()
+        };
+        let near = distances(self, differ.iter().map(|&i| chosen[i]).collect());
+        let encoded = distances(self, differ.iter().map(|&i| codes[i]).collect());
+        for ((&i, near), encoded) in differ.iter().zip(near).zip(encoded) {
+            if near <= encoded {
+                codes[i] = chosen[i];
+            }
+        }
+    }
+
     /// Decodes latents into actions (`B x slots`, normalised). `snap` switches the snap rule on.
     pub fn decode(&mut self, obs: &[f32], codes: &[u32], actions: &mut [f32], snap: bool) {
         let slots = self.space.slots();

@@ -102,3 +102,38 @@ fn impossible_settings_are_refused_with_key_and_range() {
     assert_eq!(text, "config `action_model.code_dim`: expected at least 16 (one-hot needs D >= K), or 0, found 8");
     assert!(refuse(ActionModelConfig { latents: 1, ..Default::default() }).contains("2 to 256"));
 }
+
+/// What a latent decoded into stays that latent's; any other action goes to the nearer of two.
+#[test]
+fn the_latent_that_decodes_nearer_is_kept() {
+    let config = ActionModelConfig { latents: 16, hidden: 32, ..Default::default() };
+    let space = moving_space(&config);
+    let mut rng = SeedTree::new(5).stream("init");
+    let mut model = ActionModel::new(config, 10, space.clone(), 64, &mut rng).unwrap();
+    let (obs, mut actions) = data(&space, 64, 3);
+    for step in 0..50 {
+        model.update(&obs, &actions);
+        assert_eq!(model.adam.steps, step + 1);
+    }
+    let chosen: Vec<u32> = (0..64).map(|_| rng.random_range(0..16)).collect();
+    let mut encoded = Vec::new();
+    let mut distances = |model: &mut ActionModel, actions: &[f32], codes: &[u32]| -> Vec<f32> {
+        let mut decoded = vec![0.0; 64 * 3];
+        model.decode(&obs, codes, &mut decoded, false);
+        actions.chunks(3).zip(decoded.chunks(3)).map(|(a, b)| space.distance(a, b)).collect()
+    };
+    model.encode(&obs, &actions, &mut encoded);
+    let mut kept = encoded.clone();
+    model.keep_nearer(&obs, &actions, &chosen, &mut kept);
+    let [of_kept, of_chosen, of_encoded] = [&kept, &chosen, &encoded].map(|c| distances(&mut model, &actions, c));
+    for i in 0..64 {
+        assert_eq!(of_kept[i], of_chosen[i].min(of_encoded[i]), "row {i}");
+    }
+    assert!(kept != encoded && kept != chosen, "either latent is the nearer one somewhere");
+
+    model.decode(&obs, &chosen, &mut actions, false);
+    model.encode(&obs, &actions, &mut encoded);
+    assert_ne!(encoded, chosen, "the encoder puts some of them elsewhere");
+    model.keep_nearer(&obs, &actions, &chosen, &mut encoded);
+    assert_eq!(encoded, chosen);
+}
