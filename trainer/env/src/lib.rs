@@ -35,6 +35,7 @@ mod vec_env;
 mod watched;
 mod wrappers;
 
+pub use classic::toy_dataset::{toy_dataset, toy_square};
 pub use classic::toy_env::{RewardConvention, StartState, ToyOptions};
 pub use env::{ActionSignal, ArgumentMask, Disturbance, Env, EnvSpec, EnvState, ObservationSignal, Step};
 pub use error::EnvError;

@@ -7,7 +7,8 @@ use super::regions::POINTS;
 use super::{Flight, Region, Shown, Subject, regions};
 use crate::error::TrainError;
 use crate::plot::{
-    LatentPanel, Map, Mark, Paint, Panel, PlotError, PlotOptions, Series, by_latent, episode, latent_usage, map, maps,
+    LatentPanel, Map, Mark, Paint, Panel, PlotError, PlotOptions, Series, Shape, by_latent, episode, latent_usage, map,
+    maps,
 };
 use crate::report::{Column, Report, ReportError};
 
@@ -132,6 +133,7 @@ fn usage(report: &mut Report, flight: &Flight) -> Result<(), PageError> {
         values,
         paint: Paint::Scale { name: "share of decisions (%)".to_owned(), range: 0.0..most },
         marks: Vec::new(),
+        lines: Vec::new(),
     };
     report.figure(
         "Latents over episodes",
@@ -265,8 +267,12 @@ fn decoded(report: &mut Report, flight: &Flight) -> Result<(), PageError> {
                 None => Paint::Index { name: signal.name.clone() },
             },
             marks: (0..columns)
-                .map(|column| Mark { at: (time(column), f64::from(at(column).trace.latent)), text: String::new() })
+                .map(|column| {
+                    let at = (time(column), f64::from(at(column).trace.latent));
+                    Mark { at, text: String::new(), shape: Shape::Dot }
+                })
                 .collect(),
+            lines: Vec::new(),
         })
         .collect();
     report.figure(
@@ -337,7 +343,7 @@ fn region_map(flight: &Flight, shown: &Shown, region: &Region) -> Map {
     let marks = present.iter().map(|&latent| {
         let action = &shown.trace.actions[latent as usize * slots..][..slots];
         let at = (f64::from(action[first]), second.map_or(0.5, |slot| f64::from(action[slot])));
-        Mark { at, text: latent.to_string() }
+        Mark { at, text: latent.to_string(), shape: Shape::Dot }
     });
     Map {
         x_name: name(first),
@@ -348,6 +354,7 @@ fn region_map(flight: &Flight, shown: &Shown, region: &Region) -> Map {
         values: region.codes.iter().map(|&code| f64::from(code)).collect(),
         paint: Paint::Index { name: "latent".to_owned() },
         marks: marks.collect(),
+        lines: Vec::new(),
     }
 }
 

@@ -22,9 +22,9 @@ pub struct Region {
     pub codes: Vec<u32>,
 }
 
-/// Normalised value of point `i` of [`POINTS`]: the middle of its cell.
-fn value(i: usize) -> f32 {
-    (2 * i + 1) as f32 / POINTS as f32 - 1.0
+/// Normalised value of point `i` of `points`: the middle of its cell.
+fn value(i: usize, points: usize) -> f32 {
+    (2 * i + 1) as f32 / points as f32 - 1.0
 }
 
 /// Encodes slices through the action that was taken: of its first two continuous slots, for every type of a discrete slot those
@@ -51,7 +51,7 @@ pub fn regions(model: &mut ActionModel, spec: &EnvSpec, shown: &Shown) -> Vec<Re
             };
             let mut used = continuous.iter().enumerate().filter(|(place, _)| uses(*place)).map(|(_, slot)| *slot);
             let axes = (used.next()?, used.next());
-            Some(Region { name, axes, codes: slice(model, &shown.obs, &action, axes) })
+            Some(Region { name, axes, codes: plane(model, &shown.obs, &action, axes, POINTS) })
         })
         .collect()
 }
@@ -60,20 +60,28 @@ fn slots(spec: &EnvSpec, wanted: impl Fn(ActionHead) -> bool) -> Vec<usize> {
     spec.actions.iter().enumerate().filter(|(_, slot)| wanted(slot.head)).map(|(i, _)| i).collect()
 }
 
-fn slice(model: &mut ActionModel, obs: &[f32], action: &[f32], (first, second): (usize, Option<usize>)) -> Vec<u32> {
-    let rows = if second.is_some() { POINTS } else { 1 };
-    let mut actions = Vec::with_capacity(rows * POINTS * action.len());
+/// Latents of a slice through `action` (normalised) in the state `obs`: `points` values of the first slot in `axes` in every row, and
+/// as many rows where there is a second one, from below.
+pub fn plane(
+    model: &mut ActionModel,
+    obs: &[f32],
+    action: &[f32],
+    (first, second): (usize, Option<usize>),
+    points: usize,
+) -> Vec<u32> {
+    let rows = if second.is_some() { points } else { 1 };
+    let mut actions = Vec::with_capacity(rows * points * action.len());
     for row in 0..rows {
-        for column in 0..POINTS {
+        for column in 0..points {
             let at = actions.len();
             actions.extend_from_slice(action);
-            actions[at + first] = value(column);
+            actions[at + first] = value(column, points);
             if let Some(second) = second {
-                actions[at + second] = value(row);
+                actions[at + second] = value(row, points);
             }
         }
     }
     let mut codes = Vec::new();
-    model.encode(&obs.repeat(rows * POINTS), &actions, &mut codes);
+    model.encode(&obs.repeat(rows * points), &actions, &mut codes);
     codes
 }

@@ -4,6 +4,9 @@
 //! from the documented defaults; what stands here is only what a figure changes. Runs that two figures share (GADM+DQN on
 //! HalfCheetah, say) are the same run.
 
+use super::state::ASSUMED_STEPS_PER_S;
+use super::toy;
+
 /// A figure: what is compared, on what.
 #[derive(Debug)]
 pub struct Figure {
@@ -23,8 +26,50 @@ pub struct Figure {
     pub seeds: u64,
     /// Whether returns of all panels have one scale, so that a row over all of them means something.
     pub one_scale: bool,
-    /// Who gives the recorded actions to the variants that need some.
-    pub expert: Option<Expert>,
+    /// Where the variants that need recorded actions get them.
+    pub data: Option<Source>,
+    /// What is drawn of the runs.
+    pub view: View,
+}
+
+impl Figure {
+    /// The run whose policy gives actions to others.
+    pub fn expert(&self) -> Option<&Expert> {
+        match &self.data {
+            Some(Source::Expert(expert)) => Some(expert),
+            _ => None,
+        }
+    }
+}
+
+/// Recorded actions.
+#[derive(Debug)]
+pub enum Source {
+    /// Those of a trained policy.
+    Expert(Expert),
+    /// ToyDataset: uniform draws from a square of each state, with the seed of the run.
+    Toy {
+        /// Actions of a state.
+        per_state: usize,
+    },
+}
+
+/// What is drawn of the runs of a figure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum View {
+    /// Returns over environment steps.
+    Returns,
+    /// The same, and the share of no-ops of LunarLander's snapshots.
+    NoOps,
+    /// Where LunarLander's snapshots fly.
+    Paths,
+    /// The latents of LunarLander in one state.
+    Landing,
+    /// The latents of ToyEnv in a state, 0 to 3.
+    Toy {
+        /// The state.
+        state: usize,
+    },
 }
 
 /// An environment, with how its runs are tracked; none of it changes what is learned.
@@ -42,6 +87,8 @@ pub struct Task {
     pub checkpoint_every: u64,
     /// Environment steps at which the networks are kept, for figures of how a policy came to be; those beyond a run's end never come.
     pub snapshots: &'static [u64],
+    /// Environment steps per second that a cost is reckoned with where nothing has been measured.
+    pub assumed_steps_per_s: f64,
 }
 
 /// A way to learn.
@@ -73,7 +120,15 @@ pub struct Expert {
 }
 
 const fn task(env: &'static str, label: &'static str) -> Task {
-    Task { env, label, eval_every: 25_000, eval_episodes: 10, checkpoint_every: 50_000, snapshots: &[] }
+    Task {
+        env,
+        label,
+        eval_every: 25_000,
+        eval_episodes: 10,
+        checkpoint_every: 50_000,
+        snapshots: &[],
+        assumed_steps_per_s: ASSUMED_STEPS_PER_S,
+    }
 }
 
 /// A success rate of 10 episodes has steps of 10 %: 50 of these short ones cost less than 10 of a MuJoCo body.
@@ -100,10 +155,79 @@ const LANDER: Task = Task {
     snapshots: &[0, 100_000, 200_000, 500_000, 1_000_000, 3_000_000],
     ..task("lunar-lander-continuous", "LunarLanderContinuous")
 };
+
+/// Nothing is learned after the warm-up: one step ends the run.
+const TOY_TASK: Task = Task { eval_every: 1, eval_episodes: 1, assumed_steps_per_s: 0.02, ..task("toy-env", "ToyEnv") };
+
 const GADM: Variant = variant("gadm-dqn", "GADM+DQN", "gadm-dqn", &[]);
 const TD3: Variant = variant("td3", "TD3", "td3", &[]);
 const DQN_MANUAL: Variant = variant("dqn-manual", "DQN, 3 bins a dimension", "dqn-manual", &[]);
 const EXPERT_UPDATES: &[&str] = &["warmup.updates=10_500"];
+
+/// GADM on a fixed set of ToyEnv's actions, with a focal exponent.
+macro_rules! toy {
+    ($gamma:literal) => {
+        Variant {
+            data: Some("warmup.data"),
+            ..variant(
+                concat!("gadm-focal", $gamma),
+                concat!("γ_f = ", $gamma),
+                "gadm-dqn",
+                &[
+                    "action_model.latents=4",
+                    // A quarter of the specification's "ample" width, for a tenth of the time: four states are few.
+                    "action_model.hidden=64",
+                    "confidence.hidden=[64, 64]",
+                    // With the default, ten times smaller, a state's actions all share a latent for as long as this trains.
+                    "action_model.adam.learning_rate=3e-3",
+                    concat!("confidence.focal_gamma=", $gamma, ".0"),
+                    "collect.envs=1",
+                    "collect.steps_per_round=1",
+                    "round.action_updates=0",
+                    "round.confidence_updates=0",
+                    "round.q_updates=0",
+                    "replay.ar_capacity=20_000",
+                    "replay.rl_capacity=512",
+                ],
+            )
+        }
+    };
+}
+
+/// What the figures of ToyEnv share.
+const TOY: Figure = Figure {
+    id: "",
+    title: "",
+    about: "",
+    tasks: &[TOY_TASK],
+    variants: &[toy!("0"), toy!("1"), toy!("2"), toy!("5"), toy!("10"), toy!("50")],
+    steps: 1,
+    seeds: 3,
+    one_scale: false,
+    data: Some(Source::Toy { per_state: toy::PER_STATE }),
+    view: View::Toy { state: 0 },
+};
+
+/// What the figures of LunarLander share.
+const LUNAR: Figure = Figure {
+    id: "",
+    title: "",
+    about: "",
+    tasks: &[LANDER],
+    variants: &[
+        TD3,
+        GADM,
+        Variant {
+            data: Some("dqn_cluster.data"),
+            ..variant("dqn-cluster", "DQN on an expert's clusters", "dqn-cluster", &[])
+        },
+    ],
+    steps: 500_000,
+    seeds: 3,
+    one_scale: false,
+    data: Some(Source::Expert(Expert { variant: &TD3, steps: 500_000, episodes: 20, keep: 20 })),
+    view: View::NoOps,
+};
 
 /// Every figure there is.
 pub const FIGURES: &[Figure] = &[
@@ -116,7 +240,8 @@ pub const FIGURES: &[Figure] = &[
         steps: 1_000_000,
         seeds: 5,
         one_scale: true,
-        expert: None,
+        data: None,
+        view: View::Returns,
     },
     Figure {
         id: "fig5",
@@ -136,7 +261,8 @@ pub const FIGURES: &[Figure] = &[
         steps: 500_000,
         seeds: 3,
         one_scale: false,
-        expert: None,
+        data: None,
+        view: View::Returns,
     },
     Figure {
         id: "fig9",
@@ -152,7 +278,8 @@ pub const FIGURES: &[Figure] = &[
         steps: 1_000_000,
         seeds: 2,
         one_scale: false,
-        expert: None,
+        data: None,
+        view: View::Returns,
     },
     Figure {
         id: "fig10",
@@ -179,7 +306,8 @@ pub const FIGURES: &[Figure] = &[
         seeds: 3,
         one_scale: false,
         // The paper keeps those of 1,000 episodes that return more than 3,500: about 270 by their number of transitions.
-        expert: Some(Expert { variant: &TD3, steps: 1_000_000, episodes: 1_000, keep: 270 }),
+        data: Some(Source::Expert(Expert { variant: &TD3, steps: 1_000_000, episodes: 1_000, keep: 270 })),
+        view: View::Returns,
     },
     Figure {
         id: "fig11",
@@ -204,38 +332,52 @@ pub const FIGURES: &[Figure] = &[
         steps: 500_000,
         seeds: 3,
         one_scale: false,
-        expert: None,
+        data: None,
+        view: View::Returns,
+    },
+    Figure {
+        id: "fig12",
+        title: "Latents of ToyEnv, state 1",
+        about: "which actions share a latent, where latents decode to, and the confidence in each by the focal exponent; the training is the warm-up on 5,000 actions a state, so steps do not count",
+        view: View::Toy { state: 0 },
+        ..TOY
+    },
+    Figure {
+        id: "fig13",
+        title: "Latents of ToyEnv, state 2",
+        about: "the same runs in another state",
+        view: View::Toy { state: 1 },
+        ..TOY
     },
     Figure {
         id: "fig14",
         title: "LunarLander",
-        about: "returns of GADM+DQN, TD3, and DQN on the cluster centres of an expert's actions on LunarLanderContinuous (the share of no-ops is not drawn)",
-        tasks: &[LANDER],
-        variants: &[
-            TD3,
-            GADM,
-            Variant {
-                data: Some("dqn_cluster.data"),
-                ..variant("dqn-cluster", "DQN on an expert's clusters", "dqn-cluster", &[])
-            },
-        ],
-        steps: 500_000,
-        seeds: 3,
-        one_scale: false,
-        expert: Some(Expert { variant: &TD3, steps: 500_000, episodes: 20, keep: 20 }),
+        about: "GADM+DQN, TD3, and DQN on the cluster centres of an expert's actions on LunarLanderContinuous: returns, and the share of steps without any engine",
+        view: View::NoOps,
+        ..LUNAR
+    },
+    Figure {
+        id: "fig15",
+        title: "Landing paths",
+        about: "where the policies of figure 14 fly on their way, seed 0 of each, coloured by the episode's return",
+        seeds: 1,
+        view: View::Paths,
+        ..LUNAR
+    },
+    Figure {
+        id: "fig16",
+        title: "Latents of LunarLander before it lands",
+        about: "a state of the best GADM+DQN run of figure 14: the frame, which actions share a latent, and what latents decode to",
+        variants: &[GADM],
+        data: None,
+        view: View::Landing,
+        ..LUNAR
     },
     Figure {
         id: "demo",
         title: "Pendulum",
         about: "no figure of the paper: small networks on Pendulum, to try this command in a few minutes",
-        tasks: &[Task {
-            env: "pendulum",
-            label: "Pendulum",
-            eval_every: 1_000,
-            eval_episodes: 5,
-            checkpoint_every: 1_000,
-            snapshots: &[],
-        }],
+        tasks: &[Task { eval_every: 1_000, eval_episodes: 5, checkpoint_every: 1_000, ..task("pendulum", "Pendulum") }],
         variants: &[
             variant("gadm-dqn-small", "GADM+DQN", "gadm-dqn", SMALL_GADM),
             SMALL_TD3_VARIANT,
@@ -247,7 +389,8 @@ pub const FIGURES: &[Figure] = &[
         steps: 10_000,
         seeds: 2,
         one_scale: false,
-        expert: Some(Expert { variant: &SMALL_TD3_VARIANT, steps: 4_000, episodes: 10, keep: 5 }),
+        data: Some(Source::Expert(Expert { variant: &SMALL_TD3_VARIANT, steps: 4_000, episodes: 10, keep: 5 })),
+        view: View::Returns,
     },
 ];
 

@@ -2,10 +2,14 @@
 //!
 //! A figure is data ([`figure`]); a [`plan`] makes of it the runs with their configurations and folders; [`state`] says which
 //! of them are there; [`one`] does one of them, however often it is stopped; [`pool`] does many in processes of their own, and
-//! [`submit`] hands them to a cluster; [`table`] and [`draw`] make of the run folders what people read.
+//! [`submit`] hands them to a cluster; [`table`] and [`draw`] make of the run folders what people read, with [`flights`] (episodes
+//! of LunarLander's snapshots), [`landing`] and [`toy`] (latents of a state) for what returns do not show.
 
+pub mod columns;
 pub mod draw;
 pub mod figure;
+pub mod flights;
+pub mod landing;
 pub mod one;
 pub mod plan;
 pub mod pool;
@@ -13,6 +17,7 @@ pub mod state;
 pub mod stats;
 pub mod submit;
 pub mod table;
+pub mod toy;
 
 use std::path::PathBuf;
 

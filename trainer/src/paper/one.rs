@@ -9,9 +9,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use super::PaperError;
-use super::figure::Expert;
+use super::figure::{Expert, Source};
 use super::plan::{Plan, PlannedRun};
 use super::state::{State, inspect, stored};
+use super::toy;
 use crate::config::TrainConfig;
 use crate::error::TrainError;
 use crate::metrics::jsonl::{METRICS_FILE, TIMING_FILE};
@@ -44,15 +45,21 @@ pub enum Ended {
 /// [`PaperError::NoSuchRun`], [`PaperError::OtherConfiguration`], and those of training.
 pub fn run_one(plan: &Plan, index: usize, style: Style, stop: &AtomicBool) -> Result<Ended, PaperError> {
     let run = plan.run(index)?;
-    if let (Some(at), Some(path), Some(by)) = (plan.expert_of(run), &run.data, &plan.figure.expert)
+    if let (Some(path), Some(source)) = (&run.data, &plan.figure.data)
         && inspect(run).state != State::Done
         && !path.exists()
     {
-        let expert = plan.run(at)?;
-        if train_to_end(expert, style, stop)? == Ended::Interrupted
-            || record(expert, by, path, stop)? == Ended::Interrupted
-        {
-            return Ok(Ended::Interrupted);
+        match (source, plan.expert_of(run)) {
+            (Source::Expert(by), Some(at)) => {
+                let expert = plan.run(at)?;
+                if train_to_end(expert, style, stop)? == Ended::Interrupted
+                    || record(expert, by, path, stop)? == Ended::Interrupted
+                {
+                    return Ok(Ended::Interrupted);
+                }
+            }
+            (Source::Toy { per_state }, _) => toy::record(path, *per_state, run.seed)?,
+            (Source::Expert(_), None) => {}
         }
     }
     train_to_end(run, style, stop)

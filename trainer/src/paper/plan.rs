@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::PaperError;
-use super::figure::{Figure, Task, Variant};
+use super::figure::{Figure, Source, Task, Variant};
 use crate::config::builtin::builtin;
 use crate::config::resolve::resolve;
 use crate::config::{Algorithm, Layer, TrackConfig, TrainConfig};
@@ -81,7 +81,7 @@ impl Plan {
             }
         }
         let mut expert = None;
-        if let Some(by) = figure.expert.as_ref().filter(|_| runs.iter().any(|run| run.data.is_some())) {
+        if let Some(by) = figure.expert().filter(|_| runs.iter().any(|run| run.data.is_some())) {
             let mut own = planned(figure, &figure.tasks[0], by.variant, 0, by.steps, &options.out)?;
             let at = runs.iter().position(|run| run.name == own.name);
             if let Some(at) = at {
@@ -140,10 +140,13 @@ fn planned(
     out: &Path,
 ) -> Result<PlannedRun, PaperError> {
     let name = format!("{}/{}-seed{seed}", task.env, variant.id);
-    let data = variant.data.and(figure.expert.as_ref()).map(|by| {
-        // Without `--steps` in it: a run that is continued beyond its end keeps what it started from.
-        let file = format!("{}-{}-{}-{}of{}.safetensors", task.env, by.variant.id, by.steps, by.keep, by.episodes);
-        out.join("data").join(file)
+    let data = variant.data.and(figure.data.as_ref()).map(|source| {
+        let file = match source {
+            // Without `--steps` in it: a run that is continued beyond its end keeps what it started from.
+            Source::Expert(by) => format!("{}-{}-{}of{}", by.variant.id, by.steps, by.keep, by.episodes),
+            Source::Toy { per_state } => format!("{per_state}-seed{seed}"),
+        };
+        out.join("data").join(format!("{}-{file}.safetensors", task.env))
     });
     let mut layers = Vec::new();
     if let Some(text) = builtin(variant.algo, task.env) {

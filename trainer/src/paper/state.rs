@@ -11,7 +11,7 @@ use crate::metrics::jsonl::{METRICS_FILE, read_jsonl};
 use crate::runner::origin::Origin;
 use crate::runner::train::{CONFIG_FILE, in_use, trained_s};
 
-/// Steps per second that a cost is reckoned with where nothing has been measured: about what GADM+DQN does on one core with
+/// Steps per second that a cost is reckoned with where nothing has been measured and nothing else is known: about what GADM+DQN does on one core with
 /// the built-in configurations of Hopper and Moving (`docs/src/results/shipped.md`).
 pub const ASSUMED_STEPS_PER_S: f64 = 500.0;
 
@@ -111,7 +111,7 @@ pub fn last_step(dir: &Path) -> u64 {
 pub struct Rate {
     /// Environment steps per second.
     pub steps_per_s: f64,
-    /// False where it is [`ASSUMED_STEPS_PER_S`].
+    /// False where it is the one that the task assumes.
     pub measured: bool,
 }
 
@@ -128,7 +128,7 @@ pub fn rate(run: &PlannedRun, all: &[(&PlannedRun, &Status)]) -> Rate {
     let found = own
         .or_else(|| of(&|other| env(other) && other.variant.id == run.variant.id))
         .or_else(|| of(&|other| env(other) && other.variant.algo == run.variant.algo));
-    Rate { steps_per_s: found.unwrap_or(ASSUMED_STEPS_PER_S), measured: found.is_some() }
+    Rate { steps_per_s: found.unwrap_or(run.task.assumed_steps_per_s), measured: found.is_some() }
 }
 
 /// What the rest of a figure costs.

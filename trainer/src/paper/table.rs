@@ -8,6 +8,7 @@ use std::fmt::Write as _;
 use serde::Serialize;
 
 use super::PaperError;
+use super::columns::Columns;
 use super::figure::Figure;
 use super::plan::{Plan, PlannedRun};
 use super::state::{State, Status};
@@ -90,6 +91,9 @@ pub struct Results {
     pub replicates: usize,
     /// The rows.
     pub rows: Vec<Row>,
+    /// What else the figure shows.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub tables: Vec<Columns>,
 }
 
 impl Results {
@@ -124,12 +128,24 @@ impl Results {
             rows.extend(over_all);
         }
         let (version, coverage, replicates) = (1, COVERAGE, REPLICATES);
-        Ok(Self { version, figure: figure.id, title: figure.title, steps, partial, coverage, replicates, rows })
+        let tables = Vec::new();
+        Ok(Self { version, figure: figure.id, title: figure.title, steps, partial, coverage, replicates, rows, tables })
     }
 
     /// For people.
     pub fn to_markdown(&self) -> String {
         let mut text = format!("# {}: {}\n\n", self.figure, self.title);
+        if !self.rows.is_empty() {
+            self.returns_to_markdown(&mut text);
+        }
+        for (i, table) in self.tables.iter().enumerate() {
+            text.push_str(if i == 0 && self.rows.is_empty() { "" } else { "\n" });
+            text.push_str(&table.to_markdown());
+        }
+        text
+    }
+
+    fn returns_to_markdown(&self, text: &mut String) {
         // Writing into a `String` cannot fail.
         let _ = writeln!(
             text,
@@ -145,7 +161,6 @@ impl Results {
         for row in &self.rows {
             let _ = writeln!(text, "| {} |", row.cells().join(" | "));
         }
-        text
     }
 
     /// For spreadsheets: one line for each run.

@@ -64,7 +64,7 @@ pub fn learning_curve(runs: &[RunCurve], options: &PlotOptions) -> Result<String
     if groups.is_empty() {
         return Err(PlotError::NoData("no run holds an evaluation"));
     }
-    let axes = axes(&groups);
+    let axes = axes(&groups, RETURN);
     let entries: Vec<Entry> = groups
         .iter()
         .enumerate()
@@ -74,13 +74,16 @@ pub fn learning_curve(runs: &[RunCurve], options: &PlotOptions) -> Result<String
     figure(options, height, |area| draw(area, &groups, &entries, &axes))
 }
 
+/// Name of the vertical axis of returns.
+pub const RETURN: &str = "evaluation return (reward)";
+
 /// Axes that hold `groups`.
-fn axes(groups: &[Group<'_>]) -> Axes<'static> {
+fn axes<'a>(groups: &[Group<'_>], y_name: &'a str) -> Axes<'a> {
     let all = || groups.iter().flat_map(|group| group.summary.iter().chain(group.members()));
     let last = all().map(|point| point.env_steps).fold(0.0, f64::max);
     Axes {
         x_name: "environment steps",
-        y_name: "evaluation return (reward)",
+        y_name,
         x: 0.0..if last > 0.0 { last } else { 1.0 },
         y: padded(all().flat_map(|point| [point.mean - point.sd, point.mean + point.sd]), 0.05),
         whole_x: true,
@@ -93,6 +96,8 @@ fn axes(groups: &[Group<'_>]) -> Axes<'static> {
 pub struct CurvePanel {
     /// Text above the chart.
     pub title: String,
+    /// Name of its vertical axis with the unit, such as [`RETURN`].
+    pub y_name: &'static str,
     /// The runs; [`RunCurve::label`] is one of the legend's names.
     pub runs: Vec<RunCurve>,
 }
@@ -134,7 +139,7 @@ pub fn learning_curves(panels: &[CurvePanel], names: &[&str], options: &PlotOpti
                 data_color(names.iter().position(|name| *name == group.runs[0].label).unwrap_or(names.len()))
             };
             let colors: Vec<RGBColor> = groups.iter().map(color).collect();
-            draw_groups(&chart_area, &groups, &colors, &axes(&groups))?;
+            draw_groups(&chart_area, &groups, &colors, &axes(&groups, panel.y_name))?;
         }
         Ok(())
     })
@@ -301,7 +306,8 @@ mod tests {
 
     #[test]
     fn panels_share_a_legend_and_keep_the_colour_of_a_name() {
-        let panel = |title: &str, runs: &[RunCurve]| CurvePanel { title: title.into(), runs: runs.to_vec() };
+        let panel =
+            |title: &str, runs: &[RunCurve]| CurvePanel { title: title.into(), y_name: RETURN, runs: runs.to_vec() };
         let panels = [
             panel("Moving", &[run("a", &[(0.0, 0.0), (9.0, 1.0)]), run("b", &[(0.0, 0.0), (9.0, 2.0)])]),
             panel("Sliding", &[run("b", &[(0.0, 0.0), (9.0, 2.0)]), run("b", &[(0.0, 1.0), (9.0, 4.0)])]),

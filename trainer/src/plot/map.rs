@@ -1,7 +1,7 @@
 //! Values on a grid as coloured cells: latents along an episode, regions of an action space.
 
 use super::axis::{Axes, chart};
-use super::theme::{Area, Entry, Swatch, TICK_PX, draw_error, figure, font, legend, units};
+use super::theme::{Area, Entry, Swatch, TICK_PX, data_color, draw_error, figure, font, legend, units};
 use super::{PlotError, PlotOptions};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -11,6 +11,9 @@ use std::ops::Range;
 const SHADES: f64 = 24.0;
 /// Latents that the legend of a map names; of more, the marks have to tell.
 const MOST_NAMED: usize = 16;
+
+/// Which colour of the palette is red.
+const RED: usize = 4;
 
 /// What the colour of a cell says.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,6 +32,16 @@ pub enum Paint {
     },
 }
 
+/// What a mark looks like.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Shape {
+    /// A small circle.
+    #[default]
+    Dot,
+    /// A star with five points.
+    Star,
+}
+
 /// A point on a map, with a text beside it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mark {
@@ -36,6 +49,8 @@ pub struct Mark {
     pub at: (f64, f64),
     /// Text; empty for none.
     pub text: String,
+    /// What it looks like.
+    pub shape: Shape,
 }
 
 /// A grid of values.
@@ -57,6 +72,8 @@ pub struct Map {
     pub paint: Paint,
     /// Points on top.
     pub marks: Vec<Mark>,
+    /// Red lines above the cells and below the points, on the axes of the map.
+    pub lines: Vec<Vec<(f64, f64)>>,
 }
 
 /// Draws a map.
@@ -197,17 +214,36 @@ fn draw(area: &Area<'_>, map: &Map) -> Result<(), PlotError> {
     });
     chart.draw_series(cells).map_err(draw_error)?;
     let (white, ink) = (RGBColor(255, 255, 255), RGBColor(0, 0, 0));
-    let dots = |size: u32, color: RGBColor| {
-        map.marks.iter().map(move |mark| Circle::new(mark.at, units(size) as i32, color.filled()))
-    };
-    chart.draw_series(dots(4, ink)).map_err(draw_error)?;
-    chart.draw_series(dots(3, white)).map_err(draw_error)?;
+    for (width, color) in [(4, white), (2, data_color(RED))] {
+        let lines = map.lines.iter().map(|line| PathElement::new(line.clone(), color.stroke_width(units(width))));
+        chart.draw_series(lines).map_err(draw_error)?;
+    }
+    let of = |shape: Shape| map.marks.iter().filter(move |mark| mark.shape == shape);
+    for (size, color) in [(4, ink), (3, white)] {
+        let dots = of(Shape::Dot).map(|mark| Circle::new(mark.at, units(size) as i32, color.filled()));
+        chart.draw_series(dots).map_err(draw_error)?;
+    }
+    for (size, color) in [(10, ink), (8, white)] {
+        let stars = of(Shape::Star).map(|mark| EmptyElement::at(mark.at) + Polygon::new(star(size), color.filled()));
+        chart.draw_series(stars).map_err(draw_error)?;
+    }
     let labels = map.marks.iter().filter(|mark| !mark.text.is_empty()).map(|mark| {
         let style = font(TICK_PX, &ink).pos(Pos::new(HPos::Left, VPos::Bottom));
-        EmptyElement::at(mark.at) + Text::new(mark.text.clone(), (units(5) as i32, -(units(3) as i32)), style)
+        let beside = units(if mark.shape == Shape::Star { 9 } else { 5 }) as i32;
+        EmptyElement::at(mark.at) + Text::new(mark.text.clone(), (beside, -(units(3) as i32)), style)
     });
     chart.draw_series(labels).map_err(draw_error)?;
     Ok(())
+}
+
+/// Corners of a star around the origin, its points `px` CSS pixels away, in drawing units.
+fn star(px: u32) -> Vec<(i32, i32)> {
+    let corner = |i: u32| {
+        let (sin, cos) = (f64::from(i) * std::f64::consts::PI / 5.0).sin_cos();
+        let radius = f64::from(units(px)) * if i.is_multiple_of(2) { 1.0 } else { 0.45 };
+        ((radius * sin).round() as i32, (-radius * cos).round() as i32)
+    };
+    (0..10).map(corner).collect()
 }
 
 #[cfg(test)]
@@ -223,7 +259,8 @@ mod tests {
             columns: 3,
             values,
             paint,
-            marks: vec![Mark { at: (1.0, 0.0), text: "7".into() }],
+            marks: vec![Mark { at: (1.0, 0.0), text: "7".into(), shape: Shape::Dot }],
+            lines: Vec::new(),
         }
     }
 
@@ -251,6 +288,19 @@ mod tests {
         let index = Paint::Index { name: "latent".into() };
         let svg = map(&grid(vec![0.0, 5.0, 5.0, 5.0, 5.0, 5.0], index), &PlotOptions::new("t")).unwrap();
         assert!(svg.contains("latent 0") && svg.contains("latent 5") && !svg.contains("latent 1"), "{svg}");
+    }
+
+    #[test]
+    fn stars_and_lines_are_drawn_above_the_cells() {
+        let mut own = grid(vec![0.0; 6], scale());
+        own.marks[0].shape = Shape::Star;
+        own.lines = vec![vec![(0.0, 0.0), (3.0, 0.0)]];
+        let svg = map(&own, &PlotOptions::new("t")).unwrap();
+        assert_eq!((svg.matches("<polygon").count(), svg.matches("<circle").count()), (2, 0));
+        let RGBColor(r, g, b) = data_color(RED);
+        let line = svg.find(&format!("stroke=\"#{r:02X}{g:02X}{b:02X}\" stroke-width=\"16\"")).unwrap();
+        assert!(line < svg.find("<polygon").unwrap(), "below the marks");
+        assert!(svg[..line].contains("<rect"), "above the cells");
     }
 
     #[test]

@@ -1,23 +1,29 @@
-//! Figures as SVG text: learning curves, latent usage, float-against-int8 action error, episodes over time, values by latent, and
-//! maps of coloured cells.
+//! Figures as SVG text: learning curves, latent usage, float-against-int8 action error, episodes over time, values by latent, maps of
+//! coloured cells, clouds of points, and several of them on a sheet.
 //!
 //! A figure is self-contained, scales without loss, and carries its own colours for light and dark surroundings
 //! (`prefers-color-scheme`). It can stand alone as a file or inline in an HTML page.
 
 pub mod actions;
 mod axis;
+pub mod bars;
 pub mod curve;
 pub mod episode;
 pub mod latents;
 pub mod map;
+pub mod scatter;
+pub mod sheet;
 mod theme;
 pub mod usage;
 
 pub use actions::action_error;
+pub use bars::{GroupedBars, grouped_bars};
 pub use curve::{CurvePanel, CurvePoint, RunCurve, learning_curve, learning_curves, read_run};
 pub use episode::{Panel, Series, episode};
 pub use latents::{LatentPanel, by_latent};
-pub use map::{Map, Mark, Paint, map, maps};
+pub use map::{Map, Mark, Paint, Shape, map, maps};
+pub use scatter::{Class, Cloud, CloudAxes, clouds};
+pub use sheet::{picture, sheet};
 pub(crate) use theme::escape;
 pub use usage::latent_usage;
 

@@ -59,7 +59,7 @@ pub(super) fn data_color(i: usize) -> RGBColor {
 }
 
 /// `px` CSS pixels in drawing units.
-pub(super) fn units(px: u32) -> u32 {
+pub(super) const fn units(px: u32) -> u32 {
     px * UNITS
 }
 
@@ -220,6 +220,7 @@ fn with_head(body: &str, options: &PlotOptions, height: u32) -> String {
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"gadm-plot\" role=\"img\" aria-label=\"{title}\" \
          width=\"{width}\" height=\"{height}\" viewBox=\"{view}\">\n<title>{title}</title>\n<style>\n\
+         .gadm-plot rect{{shape-rendering:crispEdges}}\n\
          @media (prefers-color-scheme: dark) {{\n"
     );
     for Pair { light, dark } in [&GROUND, &INK, &MUTED, &GRID].into_iter().chain(&PALETTE) {
@@ -232,6 +233,18 @@ fn with_head(body: &str, options: &PlotOptions, height: u32) -> String {
     svg.push_str("}\n</style>");
     svg.push_str(content);
     svg
+}
+
+/// `svg` with `content` on top of everything in it.
+pub(super) fn with_overlay(svg: &str, content: &str) -> String {
+    let end = svg.rfind("</svg>").unwrap_or(svg.len());
+    [&svg[..end], content, &svg[end..]].concat()
+}
+
+/// The ground of a figure, as an element of `width` x `height` user units.
+pub(super) fn ground(width: u32, height: u32) -> String {
+    let RGBColor(r, g, b) = GROUND.light;
+    format!("<rect width=\"{width}\" height=\"{height}\" fill=\"#{r:02X}{g:02X}{b:02X}\"/>\n")
 }
 
 /// `text` for XML content and attributes; control characters, which XML forbids, become spaces.

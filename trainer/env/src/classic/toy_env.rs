@@ -10,7 +10,7 @@ use crate::{
 };
 
 /// `y` above this moves on from the state. Source: A.7, the middles of the dataset's squares.
-const THRESHOLDS: [f64; 4] = [0.9375, 0.9375, 3.0625, 3.0625];
+pub(super) const THRESHOLDS: [f64; 4] = [0.9375, 0.9375, 3.0625, 3.0625];
 
 /// When the reward of 1 is paid and the episode ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
