@@ -126,7 +126,7 @@ fn reconstruction(config: ActionModelConfig, seed: u64) -> anyhow::Result<[f64; 
 /// action, and for a latent drawn from all.
 fn kept(env: &str, seed: u64) -> anyhow::Result<[f64; 2]> {
     let layer = Layer::Toml { origin: env.to_owned(), text: builtin("gadm-dqn", env).unwrap_or_default().to_owned() };
-    let config = resolve(&[layer])?.action_model;
+    let config = resolve::<TrainConfig>(&[layer])?.action_model;
     let data = Data::random(env, &config, seed)?;
     let (mut model, ..) = data.trained(config, seed)?;
     let mut own = Vec::new();

@@ -14,7 +14,7 @@ use crate::plot::{CloudAxes, CurvePanel, PlotError, PlotOptions, RunCurve, cloud
 /// Width and height of a panel, CSS pixels.
 const PANEL_PX: (u32, u32) = (420, 400);
 /// The same for one of many.
-const SMALL_PANEL_PX: (u32, u32) = (270, 270);
+const SMALL_PANEL_PX: (u32, u32) = (310, 310);
 
 /// What was written.
 #[derive(Clone, Debug)]

@@ -178,8 +178,11 @@ macro_rules! toy {
                     // A quarter of the specification's "ample" width, for a tenth of the time: four states are few.
                     "action_model.hidden=64",
                     "confidence.hidden=[64, 64]",
-                    // With the default, ten times smaller, a state's actions all share a latent for as long as this trains.
+                    // With the defaults (product, 0.25, 3e-4) every state gets one latent, and no exponent makes a difference.
+                    "action_model.fusion=\"film-state-to-latent\"",
+                    "action_model.commitment=0.01",
                     "action_model.adam.learning_rate=3e-3",
+                    "warmup.updates=5_000",
                     concat!("confidence.focal_gamma=", $gamma, ".0"),
                     "collect.envs=1",
                     "collect.steps_per_round=1",

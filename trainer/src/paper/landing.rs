@@ -157,8 +157,21 @@ pub fn figure(plan: &Plan, landing: &Landing) -> Result<String, PlotError> {
     let id = plan.figure.id;
     let Some(scene) = &landing.scene else { return Ok(plane) };
     let heading = format!("{id}: step {} of {}", landing.step.0, landing.step.1);
-    let frame = picture(&framed(scene), &PlotOptions::new(heading).with_size(FRAME_PX + 40, 600))?;
+    let lines = lines(landing);
+    let height = 600.max(420 + 21 * lines.len() as u32);
+    let frame = picture(&framed(scene), &lines, &PlotOptions::new(heading).with_size(FRAME_PX + 40, height))?;
     sheet(&[frame, plane], 2, &format!("{id}: {}", plan.figure.title))
+}
+
+/// What the latents do, for below the frame.
+fn lines(landing: &Landing) -> Vec<String> {
+    let what = |(k, latent): (usize, &Latent)| {
+        let [main, side] = latent.action;
+        let chosen = if latent.chosen { ", chosen" } else { "" };
+        format!("latent {k}: main {main:.2}, side {side:.2}: {}{chosen}", engines(main, side)).replace('-', "−")
+    };
+    let run = format!("an episode that returns {:.1}; engines that each latent fires:", landing.total);
+    std::iter::once(run).chain(landing.latents.iter().enumerate().map(what)).collect()
 }
 
 /// The scene on its ground.

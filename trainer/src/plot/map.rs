@@ -228,8 +228,11 @@ fn draw(area: &Area<'_>, map: &Map) -> Result<(), PlotError> {
         chart.draw_series(stars).map_err(draw_error)?;
     }
     let labels = map.marks.iter().filter(|mark| !mark.text.is_empty()).map(|mark| {
-        let style = font(TICK_PX, &ink).pos(Pos::new(HPos::Left, VPos::Bottom));
         let beside = units(if mark.shape == Shape::Star { 9 } else { 5 }) as i32;
+        // Near the right end a text would be cut.
+        let far = mark.at.0 > map.x.end - 0.2 * (map.x.end - map.x.start);
+        let (anchor, beside) = if far { (HPos::Right, -beside) } else { (HPos::Left, beside) };
+        let style = font(TICK_PX, &ink).pos(Pos::new(anchor, VPos::Bottom));
         EmptyElement::at(mark.at) + Text::new(mark.text.clone(), (beside, -(units(3) as i32)), style)
     });
     chart.draw_series(labels).map_err(draw_error)?;

@@ -67,7 +67,7 @@ pub fn clouds(
     let svg = figure(&whole, whole.height, |area| {
         let below = legend(area, &entries)?;
         for (cloud, area) in clouds.iter().zip(below.split_evenly((rows, columns))) {
-            let (top, chart_area) = area.split_vertically(units(LABEL_PX + 10));
+            let (top, chart_area) = area.margin(units(8), units(4), 0, 0).split_vertically(units(LABEL_PX + 10));
             let at = (units(8) as i32, 0);
             top.draw(&Text::new(cloud.title.clone(), at, font(LABEL_PX, &INK.color()))).map_err(draw_error)?;
             if cloud.points.iter().all(Vec::is_empty) {

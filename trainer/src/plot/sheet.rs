@@ -1,8 +1,12 @@
 //! Figures and drawings of several kinds side by side in one.
 
-use super::theme::escape;
+use super::theme::{INK, LABEL_PX, draw_error, escape, figure, font, ground, units, with_overlay};
 use super::{PlotError, PlotOptions};
+use plotters::prelude::Text;
 use std::fmt::Write as _;
+
+/// Height of a line of text under a drawing, CSS pixels.
+const LINE_PX: u32 = 21;
 
 /// Puts SVG texts side by side, `columns` in a row, under `title`, which is the accessible name alone: what is to be read stands in
 /// the parts. Columns are as wide as their widest part, rows as high as their highest; parts are centred in theirs.
@@ -25,7 +29,7 @@ pub fn sheet(parts: &[String], columns: usize, title: &str) -> Result<String, Pl
     let mut svg = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"gadm-plot\" role=\"img\" aria-label=\"{title}\" width=\"{width}\" \
          height=\"{height}\" viewBox=\"0 0 {width} {height}\">\n<title>{title}</title>\n{}",
-        super::theme::ground(width, height)
+        ground(width, height)
     );
     for (i, part) in parts.iter().enumerate() {
         let (row, column) = (i / columns, i % columns);
@@ -48,28 +52,33 @@ fn size(svg: &str) -> Result<(u32, u32), PlotError> {
     }
 }
 
-/// Draws `content` (SVG elements, CSS pixels from the upper left) on the ground of a figure under a heading; for drawings that are no
-/// charts.
+/// Puts a drawing that is no chart (an SVG text) on the ground of a figure, under the heading and above lines of text.
 ///
 /// # Errors
 /// [`PlotError::TooSmall`], [`PlotError::Draw`] for a drawing without a size.
-pub fn picture(drawing: &str, options: &PlotOptions) -> Result<String, PlotError> {
+pub fn picture(drawing: &str, lines: &[String], options: &PlotOptions) -> Result<String, PlotError> {
     let (width, height) = size(drawing)?;
     let mut left_top = (0, 0);
-    let svg = super::theme::figure(options, options.height, |area| {
+    let svg = figure(options, options.height, |area| {
         let (x, y) = area.get_pixel_range();
-        let px = |at: i32| at / super::theme::units(1) as i32;
+        let px = |at: i32| at / units(1) as i32;
         let room = (px(x.end - x.start), px(y.end - y.start));
-        if room.0 < width as i32 || room.1 < height as i32 {
-            let needed = (options.width + width - room.0 as u32, options.height + height - room.1 as u32);
+        let below = height + lines.len() as u32 * LINE_PX + LINE_PX / 2;
+        if room.0 < width as i32 || room.1 < below as i32 {
+            let needed = (options.width + width - room.0 as u32, options.height + below - room.1 as u32);
             return Err(PlotError::TooSmall { width: options.width, height: options.height, needed });
         }
         left_top = (px(x.start) + (room.0 - width as i32) / 2, px(y.start));
+        let left = left_top.0 - px(x.start);
+        for (i, line) in lines.iter().enumerate() {
+            let at = [left, (height + LINE_PX / 2 + i as u32 * LINE_PX) as i32].map(|at| at * units(1) as i32);
+            area.draw(&Text::new(line.clone(), (at[0], at[1]), font(LABEL_PX, &INK.color()))).map_err(draw_error)?;
+        }
         Ok(())
     })?;
-    let scale = super::theme::units(1);
-    let place = format!("translate({} {}) scale({scale})", left_top.0 * scale as i32, left_top.1 * scale as i32);
-    Ok(super::theme::with_overlay(&svg, &format!("<g transform=\"{place}\">\n{}\n</g>\n", drawing.trim_end())))
+    let (scale, (left, top)) = (units(1) as i32, left_top);
+    let place = format!("translate({} {}) scale({scale})", left * scale, top * scale);
+    Ok(with_overlay(&svg, &format!("<g transform=\"{place}\">\n{}\n</g>\n", drawing.trim_end())))
 }
 
 #[cfg(test)]
@@ -97,9 +106,14 @@ mod tests {
 
     #[test]
     fn a_drawing_has_room_below_the_heading_or_is_refused() {
-        let svg = picture(&part(300, 200), &PlotOptions::new("Frame").with_size(360, 260)).unwrap();
-        assert!(svg.contains("Frame") && svg.contains("<g transform=\"translate(240 "), "{svg}");
-        let small = PlotOptions::new("Frame").with_size(260, 260);
-        assert!(matches!(picture(&part(300, 200), &small), Err(PlotError::TooSmall { .. })));
+        let lines = ["one line".to_owned(), "another".to_owned()];
+        let svg = picture(&part(300, 200), &lines, &PlotOptions::new("Frame").with_size(360, 310)).unwrap();
+        for text in ["Frame", "one line", "another", "<g transform=\"translate(240 "] {
+            assert!(svg.contains(text), "{text} in {svg}");
+        }
+        for (width, height) in [(260, 310), (360, 260)] {
+            let small = PlotOptions::new("Frame").with_size(width, height);
+            assert!(matches!(picture(&part(300, 200), &lines, &small), Err(PlotError::TooSmall { .. })));
+        }
     }
 }

@@ -117,7 +117,7 @@ fn the_latent_that_decodes_nearer_is_kept() {
     }
     let chosen: Vec<u32> = (0..64).map(|_| rng.random_range(0..16)).collect();
     let mut encoded = Vec::new();
-    let mut distances = |model: &mut ActionModel, actions: &[f32], codes: &[u32]| -> Vec<f32> {
+    let distances = |model: &mut ActionModel, actions: &[f32], codes: &[u32]| -> Vec<f32> {
         let mut decoded = vec![0.0; 64 * 3];
         model.decode(&obs, codes, &mut decoded, false);
         actions.chunks(3).zip(decoded.chunks(3)).map(|(a, b)| space.distance(a, b)).collect()
