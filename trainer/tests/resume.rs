@@ -42,13 +42,42 @@ fn the_same_configuration_gives_the_same_run() {
     }
 }
 
+/// Averages follow the networks, are what is kept, and change nothing of what is learned.
+#[test]
+fn averages_are_kept_and_not_learned_from() {
+    let mut config = small("pendulum");
+    let mut plain = Run::new(config.clone()).unwrap();
+    config.track.average = 0.25;
+    let mut run = Run::new(config).unwrap();
+    let mut expected: Option<Vec<f32>> = None;
+    while !run.finished() {
+        plain.round().unwrap().unwrap();
+        run.round().unwrap().unwrap();
+        let network = run.agent.dqn.params.with(<[f32]>::to_vec);
+        assert_eq!(plain.agent.dqn.params.with(<[f32]>::to_vec), network);
+        match &mut expected {
+            Some(average) => average.iter_mut().zip(&network).for_each(|(a, n)| *a += 0.25 * (n - *a)),
+            None => expected = run.averages.is_some().then_some(network),
+        }
+        assert_eq!(run.averages.as_ref().map(|a| a.q.with(<[f32]>::to_vec)), expected);
+    }
+    let expected = expected.expect("it has trained");
+    let dir = folder();
+    std::fs::create_dir(dir.path().join(checkpoint::FOLDER)).unwrap();
+    checkpoint::save(&run, dir.path()).unwrap();
+    let mut kept = checkpoint::load_trained(dir.path(), Networks::Last).unwrap();
+    assert_eq!(kept.agent().unwrap().dqn.params.with(<[f32]>::to_vec), expected);
+    assert_ne!(plain.agent.dqn.params.with(<[f32]>::to_vec), expected);
+}
+
 /// Saved and loaded after every single round, in every phase of the warm-up and of training.
 #[test]
 fn every_round_can_be_the_last_before_an_interruption() {
     // LunarLander's episodes are flown again after a load.
     let lander = cfg!(feature = "box2d").then_some("lunar-lander-continuous");
-    for env in ["moving", "pendulum"].into_iter().chain(lander) {
-        let config = small(env);
+    for (env, average) in [("moving", 0.0), ("pendulum", 0.25)].into_iter().chain(lander.map(|env| (env, 0.0))) {
+        let mut config = small(env);
+        config.track.average = average;
         let (whole, parts) = (folder(), folder());
         for dir in [&whole, &parts] {
             std::fs::create_dir(dir.path().join(checkpoint::FOLDER)).unwrap();

@@ -177,6 +177,16 @@ pub struct TrackConfig {
     /// first step. Not in a file that names none: what was written before there was this key stays the same.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub snapshots: Vec<u64>,
+    /// Step τ of running averages of all networks of GADM + DQN, once a round: `average += τ (network - average)`. Evaluations,
+    /// snapshots and exported policies are then those of the averages; what is learned stays the same. 0: no averages.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub average: f64,
+}
+
+/// For a key that is not in a file that does not use it.
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 impl Default for TrackConfig {
@@ -188,6 +198,7 @@ impl Default for TrackConfig {
             checkpoint_every: 100_000,
             stop_at_return: None,
             snapshots: Vec::new(),
+            average: 0.0,
         }
     }
 }

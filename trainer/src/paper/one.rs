@@ -101,6 +101,7 @@ fn continued(run: &PlannedRun) -> Result<TrainConfig, PaperError> {
     let config = stored(&text).map_err(|detail| PaperError::OtherConfiguration { path: run.dir.clone(), detail })?;
     let mut config = TrainConfig { steps: run.steps, ..config };
     config.track.snapshots.clone_from(&run.config.track.snapshots);
+    config.track.average = run.config.track.average;
     Ok(config)
 }
 

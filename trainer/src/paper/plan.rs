@@ -169,6 +169,7 @@ fn planned(
         checkpoint_every: task.checkpoint_every,
         stop_at_return: None,
         snapshots: task.snapshots.to_vec(),
+        average: config.track.average,
     };
     config.validate()?;
     let warmup = random_steps(&config);

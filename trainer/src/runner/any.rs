@@ -6,7 +6,7 @@ use super::baseline::BaselineRun;
 use super::bookkeeping::{Counters, NotFinite, Window};
 use super::run::Run;
 use crate::algo::Actor;
-use crate::config::{Algorithm, TrainConfig};
+use crate::config::{Algorithm, TrackConfig, TrainConfig};
 use crate::error::TrainError;
 use crate::metrics::Record;
 
@@ -15,8 +15,8 @@ pub trait AnyRun {
     /// Settings.
     fn config(&self) -> &TrainConfig;
 
-    /// Changes the number of steps to do and the snapshots to keep, the settings that may change when a run is resumed.
-    fn extend(&mut self, steps: u64, snapshots: Vec<u64>);
+    /// Changes the number of steps to do and what is tracked, the settings that may change when a run is resumed.
+    fn extend(&mut self, steps: u64, track: TrackConfig);
 
     /// Counters.
     fn counters(&self) -> &Counters;
@@ -47,6 +47,9 @@ pub trait AnyRun {
 
     /// The policy as evaluations see it.
     fn actor(&mut self) -> &mut dyn Actor;
+
+    /// Puts the averages of the networks in their place where there are some (`track.average`); once more puts them back.
+    fn swap_averages(&mut self) {}
 
     /// Writes the whole state.
     ///
@@ -84,9 +87,9 @@ macro_rules! any_run_fields {
             &self.config
         }
 
-        fn extend(&mut self, steps: u64, snapshots: Vec<u64>) {
+        fn extend(&mut self, steps: u64, track: $crate::config::TrackConfig) {
             self.config.steps = steps;
-            self.config.track.snapshots = snapshots;
+            self.config.track = track;
         }
 
         fn counters(&self) -> &Counters {

@@ -83,6 +83,10 @@ impl BaselineRun {
     /// For an unknown environment or impossible settings.
     pub fn new(config: TrainConfig) -> Result<Self, TrainError> {
         config.validate()?;
+        if config.track.average != 0.0 {
+            let expected = "0: only the networks of gadm-dqn are averaged";
+            return Err(TrainError::config("track.average", expected, config.track.average));
+        }
         let spec = make_with(&config.env, &config.env_options)?.spec().clone();
         let (schedule, n_step, gamma) = plan(&config.algo);
         let seeds = SeedTree::new(config.seed);

@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::agent::Agent;
 use super::any::AnyRun;
+use super::averages::Averages;
 use super::bookkeeping::{Counters, NotFinite, Streams, Window};
 use super::run::Run;
 use crate::atomic;
@@ -247,6 +248,13 @@ pub fn save(run: &Run, dir: &Path) -> Result<(), TrainError> {
     if let Some(confidence) = &agent.confidence {
         arrays.adam("confidence", &confidence.adam);
     }
+    if let Some(averages) = &run.averages {
+        arrays.params("average/action-model", &averages.model);
+        arrays.params("average/q", &averages.q);
+        if let Some(confidence) = &averages.confidence {
+            arrays.params("average/confidence", confidence);
+        }
+    }
     let (ar_next, obs, actions) = run.d_ar.arrays();
     arrays.flat("d_ar/obs", obs);
     arrays.flat("d_ar/actions", actions);
@@ -345,6 +353,15 @@ fn restore(file: &Path, mut arrays: Arrays, state: &str) -> Result<Run, TrainErr
     arrays.load_adam("q", &mut agent.dqn.adam, state.adam_steps[1]).map_err(&bad)?;
     if let Some(confidence) = &mut agent.confidence {
         arrays.load_adam("confidence", &mut confidence.adam, state.adam_steps[2]).map_err(&bad)?;
+    }
+    if arrays.0.keys().any(|name| name.starts_with("average/")) {
+        let mut averages = Averages::of(agent)?;
+        arrays.load_params("average/action-model", &mut averages.model).map_err(&bad)?;
+        arrays.load_params("average/q", &mut averages.q).map_err(&bad)?;
+        if let Some(confidence) = &mut averages.confidence {
+            arrays.load_params("average/confidence", confidence).map_err(&bad)?;
+        }
+        run.averages = Some(averages);
     }
     let obs = arrays.take("d_ar/obs").map_err(&bad)?;
     let actions = arrays.take("d_ar/actions").map_err(&bad)?;

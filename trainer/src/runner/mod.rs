@@ -2,6 +2,7 @@
 
 pub mod agent;
 pub mod any;
+pub mod averages;
 pub mod baseline;
 pub mod bookkeeping;
 pub mod checkpoint;

@@ -8,6 +8,7 @@ use rand::RngExt as _;
 
 use super::agent::Agent;
 use super::any::{AnyRun, any_run_fields};
+use super::averages::Averages;
 use super::bookkeeping::{Counters, NotFinite, Streams, Window, finite, push_means, step_environments};
 use super::checkpoint;
 use crate::algo::Actor;
@@ -23,6 +24,8 @@ pub struct Run {
     pub config: TrainConfig,
     /// Networks.
     pub agent: Agent,
+    /// Averages of the networks, from the first round of training on, where `track.average` is set.
+    pub averages: Option<Averages>,
     /// Environments.
     pub envs: VecEnv,
     /// n-step assembly, one per environment.
@@ -74,6 +77,9 @@ fn check(config: &TrainConfig) -> Result<(), TrainError> {
     if config.explore.epsilon_decay.is_infinite() {
         return Err(TrainError::config("explore.epsilon_decay", "a finite number", config.explore.epsilon_decay));
     }
+    if !(0.0..=1.0).contains(&config.track.average) {
+        return Err(TrainError::config("track.average", "0 to 1", config.track.average));
+    }
     if let Some(target) = config.track.stop_at_return.filter(|t| !t.is_finite()) {
         return Err(TrainError::config("track.stop_at_return", "a finite number", target));
     }
@@ -116,6 +122,7 @@ impl Run {
         let streams = Streams::new(seeds);
         Ok(Self {
             agent,
+            averages: None,
             envs,
             nsteps: vec![NStep::new(config.dqn.n_step, config.dqn.gamma); config.collect.envs],
             d_ar: ActionBuffer::new(config.replay.ar_capacity, obs_dim, slots),
@@ -154,8 +161,22 @@ impl Run {
     /// # Errors
     /// [`NotFinite`] where a loss, a gradient or a weight is not a finite number; environment errors.
     pub fn round(&mut self) -> Result<Result<(), NotFinite>, TrainError> {
-        let result = self.slice()?;
-        Ok(result.and_then(|()| self.check_weights()))
+        let result = self.slice()?.and_then(|()| self.check_weights());
+        if result.is_ok() {
+            self.average()?;
+        }
+        Ok(result)
+    }
+
+    fn average(&mut self) -> Result<(), TrainError> {
+        let tau = self.config.track.average as f32;
+        match &mut self.averages {
+            _ if tau == 0.0 => self.averages = None,
+            Some(averages) => averages.approach(&self.agent, tau),
+            None if self.counters.warm => self.averages = Some(Averages::of(&self.agent)?),
+            None => {}
+        }
+        Ok(())
     }
 
     fn slice(&mut self) -> Result<Result<(), NotFinite>, TrainError> {
@@ -478,6 +499,12 @@ impl AnyRun for Run {
 
     fn actor(&mut self) -> &mut dyn Actor {
         &mut self.agent
+    }
+
+    fn swap_averages(&mut self) {
+        if let Some(averages) = &mut self.averages {
+            averages.swap(&mut self.agent);
+        }
     }
 
     fn save(&mut self, dir: &Path) -> Result<(), TrainError> {

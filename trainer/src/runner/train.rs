@@ -26,7 +26,7 @@ pub const LOCK_FILE: &str = "lock";
 /// How to run.
 pub struct TrainOptions<'a> {
     /// Settings of a new run. When resuming, `None` takes the stored ones; `Some` must equal them but for `steps`, and
-    /// may have further `track.snapshots`.
+    /// may have further `track.snapshots` and another `track.average`.
     pub config: Option<TrainConfig>,
     /// Run folder.
     pub dir: PathBuf,
@@ -119,17 +119,19 @@ fn open(options: &TrainOptions) -> Result<(Box<dyn AnyRun>, Sinks, File), TrainE
         if let Some(config) = &options.config {
             let mut same = TrainConfig { steps: run.config().steps, ..config.clone() };
             same.track.snapshots.clone_from(&run.config().track.snapshots);
+            same.track.average = run.config().track.average;
             if same != *run.config() {
                 return Err(TrainError::ConfigChanged {
                     path: dir.clone(),
                     detail: first_difference(run.config(), &same),
                 });
             }
-            let mut snapshots = same.track.snapshots;
-            let stored = snapshots.len();
-            snapshots.extend(config.track.snapshots.iter().filter(|step| !run.config().track.snapshots.contains(step)));
-            if config.steps != run.config().steps || snapshots.len() > stored {
-                run.extend(config.steps, snapshots);
+            let mut track = same.track;
+            track.average = config.track.average;
+            let stored = &run.config().track.snapshots;
+            track.snapshots.extend(config.track.snapshots.iter().filter(|step| !stored.contains(step)));
+            if config.steps != run.config().steps || track != run.config().track {
+                run.extend(config.steps, track);
                 let text = to_toml(run.config()).map_err(TrainError::ConfigFile)?;
                 atomic::write(&dir.join(CONFIG_FILE), text.as_bytes()).map_err(TrainError::Write)?;
             }
@@ -218,6 +220,7 @@ pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
             let rates = ((now - clock.1) as f64 / elapsed, (run.counters().updates() - clock.2) as f64 / elapsed);
             clock = (Instant::now(), now, run.counters().updates());
             if evaluates {
+                run.swap_averages();
                 let evaluation = evaluate_run(run.as_mut(), &mut record)?;
                 reached = target.is_some_and(|target| evaluation.mean() >= target);
                 // A return that is not a number is better than nothing and worse than any other.
@@ -225,6 +228,7 @@ pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
                     run.counters_mut().best_return = Some(evaluation.mean());
                     run.save_networks(&options.dir, checkpoint::BEST)?;
                 }
+                run.swap_averages();
                 record.push(keys::EVAL_RETURN_BEST, run.counters().best_return.unwrap_or(f64::NAN));
                 progress.suspend(|| {
                     tracing::info!(
@@ -265,7 +269,10 @@ pub fn train(options: &TrainOptions) -> Result<Outcome, TrainError> {
 /// Writes the networks for every snapshot whose step is in `steps`.
 fn keep_snapshots(run: &mut dyn AnyRun, dir: &Path, steps: RangeInclusive<u64>) -> Result<(), TrainError> {
     let due: Vec<u64> = run.config().track.snapshots.iter().copied().filter(|step| steps.contains(step)).collect();
-    due.into_iter().try_for_each(|step| run.save_networks(dir, &checkpoint::snapshot(step)))
+    run.swap_averages();
+    due.into_iter().try_for_each(|step| run.save_networks(dir, &checkpoint::snapshot(step)))?;
+    run.swap_averages();
+    Ok(())
 }
 
 fn evaluate_run(run: &mut dyn AnyRun, record: &mut Record) -> Result<Evaluation, TrainError> {

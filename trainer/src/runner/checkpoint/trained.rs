@@ -13,6 +13,7 @@ use crate::algo::{Actor, Learner};
 use crate::config::{Algorithm, AlgorithmName, TrainConfig};
 use crate::error::TrainError;
 use crate::runner::agent::Agent;
+use crate::runner::any::AnyRun as _;
 use crate::runner::bookkeeping::Counters;
 use crate::runner::run::Run;
 
@@ -161,7 +162,8 @@ pub fn load_trained(dir: &Path, networks: Networks) -> Result<Trained, TrainErro
         if algorithm(&state).map_err(unusable(&file))? != AlgorithmName::GadmDqn {
             return Ok(baseline::restore(&file, arrays, &state)?.into_trained());
         }
-        let run = restore(&file, arrays, &state)?;
+        let mut run = restore(&file, arrays, &state)?;
+        run.swap_averages();
         let calibration = calibration(&run);
         let learned = Learned::GadmDqn(Box::new(run.agent));
         return Ok(Trained { calibration, config: run.config, counters: run.counters, learned });
