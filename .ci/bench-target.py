@@ -75,14 +75,16 @@ class Elf:
 
 
 def sizes(folder):
-    """Code of the kernels, of a step with the self-test, and of the whole runtime with its loader, in bytes."""
+    """Code of the kernels, of a step with the self-test, and of the whole runtime with either loader, in bytes."""
     with_runtime, loader, without = (Elf(folder / name) for name in ("footprint", "loader", "baseline"))
+    trusting = Elf(folder / "footprint_trusted")
     flash = lambda elf: sum(elf.sections.get(name, 0) for name in (".text", ".rodata", ".data"))
     kernels = sum(size for name, size in with_runtime.symbols.items() if "kernels7armv7em" in name)
     return {
         "code.kernels": kernels,
         "code.step": flash(with_runtime) - flash(loader),
         "code.runtime": flash(with_runtime) - flash(without),
+        "code.runtime_trusted": flash(trusting) - flash(without),
     }
 
 

@@ -1,115 +1,115 @@
 //! Head values to actions: tanh, categorical expectation with snap, types and switches.
 
-use crate::argmax::{largest, top};
+use crate::argmax::top;
 use crate::interface::{ACTION_LEN, action_head};
 use crate::kernels::{ONE, exp2_below};
-use crate::net::{
-    ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, ENCODING_TYPES, HEAD_LEN, SNAP_ANY, SNAP_EDGES,
-};
+use crate::net::{ENCODING_CATEGORICAL, ENCODING_TANH, ENCODING_TYPES, HEAD_LEN, Net, SNAP_ANY, SNAP_EDGES, SNAP_NONE};
+use crate::reader::word;
+use crate::space::ActionHead;
 use core::hint::select_unpredictable;
 
 /// Gives `sink` one value per slot, in native units. `logits` are the rows of the head layer, `i32` as words, in log2
-/// units with `frac_bits` fraction bits.
-pub(crate) fn emit_heads(
-    heads: &[[u8; HEAD_LEN]],
+/// units; a table decoder has none.
+pub(crate) fn emit(
+    decoder: &Net<'_>,
     actions: &[[u8; ACTION_LEN]],
-    frac_bits: u32,
+    latent: u16,
     logits: &mut [u32],
     mut sink: impl FnMut(usize, f32),
 ) {
     let mut rest = logits;
-    for (slot, (head, record)) in heads.iter().zip(actions).enumerate() {
-        let &[kind, snap, low, high] = head;
-        let rows = usize::from(u16::from_le_bytes([low, high]));
-        let (rows, after) = rest.split_at_mut_checked(rows).unwrap_or_default();
-        rest = after;
-        let raw = match kind {
-            ENCODING_TANH => tanh(rows.first().map_or(0, |&word| word.cast_signed()), frac_bits),
-            ENCODING_CATEGORICAL => categorical(rows, frac_bits, snap),
-            ENCODING_TYPES => f32::from(top(rows).0),
-            ENCODING_SWITCH => f32::from(u8::from(rows.first().is_some_and(|&word| word.cast_signed() > 0))),
-            _ => 0.0,
+    for (slot, (head, record)) in decoder.slots(latent, actions.len()).iter().zip(actions).enumerate() {
+        let raw = if decoder.layers.is_empty() {
+            f32::from_le_bytes(*head)
+        } else {
+            let &[.., low, high] = head;
+            let rows = usize::from(u16::from_le_bytes([low, high]));
+            let (rows, after) = core::mem::take(&mut rest).split_at_mut_checked(rows).unwrap_or_default();
+            rest = after;
+            value(*head, decoder.frac_bits, rows)
         };
-        sink(slot, action_head(record).denormalise(raw));
+        let value = match action_head(record) {
+            head @ ActionHead::Continuous { .. } => head.denormalise(raw),
+            ActionHead::Discrete { n } => index(raw, n),
+            ActionHead::Binary => index(raw, 2),
+        };
+        sink(slot, value);
     }
 }
 
-/// `tanh` of a logit: `(1 - e) / (1 + e)` with `e = exp(-2 |l|)`, the exponential in fixed point and one division.
+/// One of `0.0, 1.0, ..., n - 1`; `raw` is that unless the file is wrong.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates, as it should")]
+fn index(raw: f32, n: u16) -> f32 {
+    f32::from((raw as u16).min(n.saturating_sub(1)))
+}
+
+/// What a head says, before its range.
+fn value(head: [u8; HEAD_LEN], frac_bits: u32, logits: &mut [u32]) -> f32 {
+    let [kind, snap, ..] = head;
+    let first = logits.first().map_or(0, |&word| word.cast_signed());
+    if kind == ENCODING_CATEGORICAL {
+        categorical(logits, frac_bits, snap)
+    } else if kind == ENCODING_TANH {
+        tanh(first, frac_bits)
+    } else {
+        let index = if kind == ENCODING_TYPES { top(logits).0 } else { u16::from(first > 0) };
+        f32::from(index)
+    }
+}
+
+/// `tanh` of a logit below 2^30 in magnitude: the expectation over the atoms -1 and 1 at half the distance,
+/// `(1 - e) / (1 + e)` with `e = exp(-2 |l|)` for a positive one.
 fn tanh(logit: i32, frac_bits: u32) -> f32 {
-    // The logit is below 2^30 in magnitude.
-    let mut e = [0u32.wrapping_sub(logit.unsigned_abs().wrapping_mul(2))];
-    exp2_below(&mut e, 0, frac_bits);
-    let [e] = e;
-    signed(u64::from(ONE.wrapping_sub(e)), u64::from(ONE.wrapping_add(e)), logit < 0)
+    categorical(&mut [logit.wrapping_neg().cast_unsigned(), logit.cast_unsigned()], frac_bits, SNAP_NONE)
 }
 
 /// Expectation of the softmax over atoms at `-1 + 2 j / (J - 1)`, or an atom itself under the snap rule. No branch
 /// depends on the logits: the expectation is always computed.
 ///
 /// Source: GADM paper, extreme action regression; probability 0.9 or more snaps.
+#[inline(never)]
+#[expect(clippy::needless_bitwise_bool, reason = "a lazy operator is a branch")]
 fn categorical(logits: &mut [u32], frac_bits: u32, snap: u8) -> f32 {
-    let last = u32::try_from(logits.len()).unwrap_or(u32::MAX).wrapping_sub(1);
-    exp2_below(logits, largest(logits), frac_bits);
+    let last = word(logits.len()).wrapping_sub(1);
+    let (atom, largest) = top(logits);
+    exp2_below(logits, largest, frac_bits);
     let (sum, moment) = moments(logits);
-    // The atom of the largest logit, if the rule allows it. Only that atom can hold 0.9; there is one such atom then.
-    let (found, atom) = match snap {
-        SNAP_ANY => (true, first_one(logits)),
-        SNAP_EDGES => {
-            let is_one = |e: Option<&u32>| e.copied().unwrap_or(0) == ONE;
-            let low = is_one(logits.first());
-            let high = is_one(logits.last());
-            (low | high, select_unpredictable(low, 0, last))
-        }
-        _ => (false, 0),
-    };
-    let sure = u64::from(ONE).wrapping_mul(10) >= sum.wrapping_mul(9);
-    let snaps = found & sure;
-    let (last, atom) = (u64::from(last), u64::from(atom));
+    // Only the largest atom can hold 0.9, and no other one is as large then.
+    let atom = u32::from(atom);
+    let allowed = (snap == SNAP_ANY) | ((snap == SNAP_EDGES) & ((atom == 0) | (atom == last)));
+    let snaps = allowed & (u64::from(ONE).wrapping_mul(10) >= sum.wrapping_mul(9));
     // sum_j e_j (2 j - last) / (last * sum_j e_j), and atom j at (2 j - last) / last, which is its e_j alone.
-    let twice = select_unpredictable(snaps, atom, moment).wrapping_mul(2);
+    let twice = select_unpredictable(snaps, atom.into(), moment).wrapping_mul(2);
     let scale = select_unpredictable(snaps, 1, sum);
-    let centre = scale.wrapping_mul(last);
-    signed(twice.abs_diff(centre), centre, twice < centre)
+    let centre = scale.wrapping_mul(last.into());
+    let quotient = nearest(twice.abs_diff(centre)) / nearest(centre.max(1));
+    f32::from_bits(quotient.to_bits() | (u32::from(twice < centre) << 31))
 }
 
-/// Index of the first exponential that is 1.
-fn first_one(exponentials: &[u32]) -> u32 {
-    let (mut first, mut j) = (0, u32::try_from(exponentials.len()).unwrap_or(u32::MAX));
-    for &e in exponentials.iter().rev() {
-        j = j.wrapping_sub(1);
-        if e == ONE {
-            first = j;
-        }
-    }
-    first
-}
-
-/// `sum_j e_j` and `sum_j j e_j`, by sums from the end: the sum of all partial sums but the last is the moment.
+/// `sum_j e_j` and `sum_j j e_j`.
 fn moments(exponentials: &[u32]) -> (u64, u64) {
     let (mut sum, mut moment) = (0u64, 0u64);
-    let mut add = |e: u32| {
-        moment = moment.wrapping_add(sum);
-        sum = sum.wrapping_add(u64::from(e));
-    };
-    let (rest, fours) = exponentials.as_rchunks::<4>();
-    for &[a, b, c, d] in fours.iter().rev() {
-        add(d);
-        add(c);
-        add(b);
-        add(a);
-    }
-    for &e in rest.iter().rev() {
-        add(e);
+    for (j, &e) in (0u32..).zip(exponentials) {
+        sum = sum.wrapping_add(e.into());
+        moment = moment.wrapping_add(u64::from(j).wrapping_mul(e.into()));
     }
     (sum, moment)
 }
 
-/// `n / d`, negated where `negative`, as the quotient of the nearest `f32`s: both conversions and the division are IEEE,
-/// so the bits are the same everywhere. 0 for `d = 0`.
-#[expect(clippy::cast_precision_loss, reason = "rounds to the nearest f32, as stated")]
-fn signed(n: u64, d: u64, negative: bool) -> f32 {
-    let quotient = n as f32 / d.max(1) as f32;
-    f32::from_bits(quotient.to_bits() | (u32::from(negative) << 31))
+/// `n as f32`, the nearest one, in a third of the code that the compiler calls for it.
+#[inline(never)]
+#[expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    reason = "rounds to the nearest f32, as stated"
+)]
+fn nearest(n: u64) -> f32 {
+    let (high, low) = ((n >> 32) as u32, n as u32);
+    // The highest 32 bits; whether a bit was lost is left in the lowest, which is below what f32 keeps.
+    let shift = 32u32.wrapping_sub(high.leading_zeros());
+    let lost = low & 1u32.wrapping_shl(shift).wrapping_sub(1);
+    let bits = (n >> shift) as u32 | u32::from(lost != 0);
+    bits as f32 * f32::from_bits(shift.wrapping_add(127) << 23)
 }
 
 #[cfg(test)]

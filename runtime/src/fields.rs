@@ -31,14 +31,13 @@ pub(crate) fn f32_at(bytes: &[u8], at: usize) -> Option<f32> {
 }
 
 /// The part of `file` whose offset and length, two `u32`s, are at `at`.
-#[inline(never)]
 pub(crate) fn slice_at(file: &[u8], at: usize) -> &[u8] {
     let len = u32_at(file, at.wrapping_add(4)).unwrap_or_default();
     slice_of(file, u32_at(file, at).unwrap_or_default(), len)
 }
 
 /// `len` bytes of `file` from `start` on; none where it has fewer.
-#[inline]
+#[inline(never)]
 pub(crate) fn slice_of(file: &[u8], start: u32, len: u32) -> &[u8] {
     let start = start as usize;
     // A sum that wraps is below the start, which is refused as well.

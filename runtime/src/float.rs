@@ -6,12 +6,12 @@
 use crate::decision::FloatDecision;
 use crate::error::{ActError, LoadError, SelfTestError};
 use crate::fields::f32_at;
-use crate::float_heads::{allowed, argmax, emit_heads};
+use crate::float_heads::{allowed, argmax, emit};
 use crate::image::Image;
 use crate::interface::{ACTION_LEN, ActionSignal, ObservationSignal, action_head};
 use crate::load::load;
 use crate::mask::LatentMask;
-use crate::net::{Decoder, Layer, Net, constants};
+use crate::net::{Layer, Net};
 use crate::provenance::Provenance;
 use crate::schema::{Header, PolicySpec, Section, WeightKind};
 use crate::scratch::Scratch;
@@ -54,7 +54,7 @@ impl<'a> FloatPolicy<'a> {
     /// # Errors
     /// [`LoadError`] says what is wrong and where.
     pub fn load(image: &'a [u8]) -> Result<Self, LoadError> {
-        load(image, WeightKind::Float32).map(|image| Self { image })
+        load::<true>(image, WeightKind::Float32).map(|image| Self { image })
     }
 
     /// Dimensions and needs.
@@ -110,7 +110,7 @@ impl<'a> FloatPolicy<'a> {
     /// Threshold of the mask as a fraction, when the policy has a confidence network.
     #[must_use]
     pub fn mask_threshold(&self) -> Option<(u32, u32)> {
-        self.image.threshold().map(|threshold| (threshold.num, threshold.den))
+        self.image.threshold()
     }
 
     /// Whether the confidence network reads the Q-network's last hidden layer instead of the observation.
@@ -151,10 +151,10 @@ impl<'a> FloatPolicy<'a> {
         let (obs_dim, slots) = (usize::from(self.image.spec.obs_dim), usize::from(self.image.spec.action_dim));
         for (vector, case) in self_test_vectors(self.image.self_tests(), obs_dim, slots).enumerate() {
             let work = self.divide(scratch)?;
-            self.normalise(work.input, case.observation());
+            self.normalise(work.input, case.observation.iter().map(|&bytes| f32::from_le_bytes(bytes)));
             let mut first = None;
             let decision = self.step(work, &mut |slot, found| {
-                let expected = case.action(slot);
+                let expected = case.actions.get(slot).copied().map_or(0.0, f32::from_le_bytes);
                 let tolerance = self.image.actions().get(slot).map_or(0.0, tolerance);
                 let close = (expected - found).abs() <= tolerance;
                 if !close && first.is_none() {
@@ -215,19 +215,10 @@ impl<'a> FloatPolicy<'a> {
         let candidates = (0u16..).zip(values.iter().copied()).filter(|(latent, _)| allowed.contains(*latent));
         let (latent, q) = argmax(candidates);
         let actions = self.image.actions();
-        match self.image.decoder() {
-            Decoder::Modulated { net, modulation, heads } => {
-                let out = logits.get_mut(..usize::from(net.outputs())).unwrap_or_default();
-                run(&net, Some(latent_table(&net, modulation, latent)), input, first, second, out);
-                emit_heads(heads, actions, out, sink);
-            }
-            Decoder::Table { actions: table } => {
-                let values = constants(table, latent, actions.len()).zip(actions).enumerate();
-                for (slot, (value, record)) in values {
-                    sink(slot, action_head(record).denormalise(value));
-                }
-            }
-        }
+        let decoder = self.image.net(Section::Decoder);
+        let out = logits.get_mut(..usize::from(decoder.outputs())).unwrap_or_default();
+        run(&decoder, Some(latent_table(&decoder, latent)), input, first, second, out);
+        emit(&decoder, actions, latent, out, sink);
         FloatDecision { latent, allowed, fallback, q }
     }
 }
@@ -246,10 +237,10 @@ fn floats(bytes: &[u8]) -> &[f32] {
 }
 
 /// Scale and shift of one latent, one after the other.
-fn latent_table<'a>(net: &Net<'a>, modulation: &'a [u8], latent: u16) -> &'a [f32] {
-    let len = usize::from(net.first_rows()).wrapping_mul(2);
+fn latent_table<'a>(decoder: &Net<'a>, latent: u16) -> &'a [f32] {
+    let len = usize::from(decoder.first_rows()).wrapping_mul(2);
     let start = len.wrapping_mul(usize::from(latent));
-    floats(modulation).get(start..).and_then(|rest| rest.get(..len)).unwrap_or_default()
+    floats(decoder.table).get(start..).and_then(|rest| rest.get(..len)).unwrap_or_default()
 }
 
 /// `y = W x + b`.

@@ -2,9 +2,7 @@
 
 use crate::interface::{ACTION_LEN, action_head};
 use crate::mask::LatentMask;
-use crate::net::{
-    ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, ENCODING_TYPES, HEAD_LEN, SNAP_ANY, SNAP_EDGES, Threshold,
-};
+use crate::net::{ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, ENCODING_TYPES, Net, SNAP_ANY, SNAP_EDGES};
 
 /// Index and value of the largest of `values`, lowest index on a tie.
 pub(crate) fn argmax(values: impl Iterator<Item = (u16, f32)>) -> (u16, f32) {
@@ -23,11 +21,11 @@ fn exponentials(logits: &mut [f32]) -> f32 {
 }
 
 /// The allowed set and whether the empty-mask rule made it; `logits` are overwritten.
-pub(crate) fn allowed(threshold: Threshold, logits: &mut [f32]) -> (LatentMask, bool) {
+pub(crate) fn allowed((num, den): (u32, u32), logits: &mut [f32]) -> (LatentMask, bool) {
     let best = argmax((0u16..).zip(logits.iter().copied())).0;
     let sum = exponentials(logits);
     #[expect(clippy::cast_precision_loss, reason = "at most 2^24, so exact")]
-    let (num, den) = (threshold.num as f32, threshold.den as f32);
+    let (num, den) = (num as f32, den as f32);
     let mut mask = LatentMask::empty();
     for (latent, e) in (0u16..).zip(logits.iter()) {
         if e * den > sum * num {
@@ -45,26 +43,31 @@ pub(crate) fn allowed(threshold: Threshold, logits: &mut [f32]) -> (LatentMask, 
     (mask, true)
 }
 
-/// Gives `sink` one value per slot, in native units.
-pub(crate) fn emit_heads(
-    heads: &[[u8; HEAD_LEN]],
+/// Gives `sink` one value per slot, in native units; a table decoder has no logits.
+pub(crate) fn emit(
+    decoder: &Net<'_>,
     actions: &[[u8; ACTION_LEN]],
+    latent: u16,
     logits: &mut [f32],
     sink: &mut dyn FnMut(usize, f32),
 ) {
     let mut rest = logits;
-    for (slot, (head, record)) in heads.iter().zip(actions).enumerate() {
+    for (slot, (head, record)) in decoder.slots(latent, actions.len()).iter().zip(actions).enumerate() {
         let &[kind, snap, low, high] = head;
-        let rows = usize::from(u16::from_le_bytes([low, high]));
-        let (rows, after) = rest.split_at_mut_checked(rows).unwrap_or_default();
-        rest = after;
-        let first = rows.first().copied().unwrap_or_default();
-        let raw = match kind {
-            ENCODING_TANH => libm::tanhf(first),
-            ENCODING_CATEGORICAL => categorical(rows, snap),
-            ENCODING_TYPES => f32::from(argmax((0u16..).zip(rows.iter().copied())).0),
-            ENCODING_SWITCH => f32::from(u8::from(first > 0.0)),
-            _ => 0.0,
+        let raw = if decoder.layers.is_empty() {
+            f32::from_le_bytes(*head)
+        } else {
+            let rows = usize::from(u16::from_le_bytes([low, high]));
+            let (rows, after) = rest.split_at_mut_checked(rows).unwrap_or_default();
+            rest = after;
+            let first = rows.first().copied().unwrap_or_default();
+            match kind {
+                ENCODING_TANH => libm::tanhf(first),
+                ENCODING_CATEGORICAL => categorical(rows, snap),
+                ENCODING_TYPES => f32::from(argmax((0u16..).zip(rows.iter().copied())).0),
+                ENCODING_SWITCH => f32::from(u8::from(first > 0.0)),
+                _ => 0.0,
+            }
         };
         sink(slot, action_head(record).denormalise(raw));
     }

@@ -2,7 +2,7 @@
 
 use crate::fields::{f32_at, slice_at, slice_of, u16_at, u32_at, u64_at};
 use crate::interface::{ACTION_LEN, INTERFACE_HEAD, InterfaceView, OBSERVATION_LEN};
-use crate::net::{Decoder, HEAD_LEN, LAYER_LEN, Layer, NET_HEAD, Net, Threshold};
+use crate::net::{Layer, NET_HEAD, Net};
 use crate::schema::{HEADER_LEN, Header, PolicySpec, RUNTIME_ABI_SHARED_TRUNK, Section, TRAILER_HEAD, WeightKind};
 
 /// Bytes before the first input record.
@@ -18,8 +18,6 @@ pub(crate) struct Image<'a> {
     /// The whole file, without what follows it in its slot.
     pub(crate) file: &'a [u8],
     pub(crate) spec: PolicySpec,
-    /// Layers of the Q-network, the confidence network and the decoder.
-    pub(crate) layers: [&'a [[u8; LAYER_LEN]]; 3],
     /// Widest hidden layer of all networks.
     pub(crate) hidden_width: u16,
 }
@@ -36,7 +34,7 @@ impl<'a> Image<'a> {
             macs: 0,
             weights,
         };
-        Self { file, spec, layers: [&[]; 3], hidden_width: 0 }
+        Self { file, spec, hidden_width: 0 }
     }
 
     /// A `u32` of the header.
@@ -65,6 +63,7 @@ impl<'a> Image<'a> {
     }
 
     /// A section of the table.
+    #[inline(never)]
     pub(crate) fn section(&self, section: Section) -> &'a [u8] {
         slice_at(self.file, section.entry())
     }
@@ -94,15 +93,23 @@ impl<'a> Image<'a> {
         (bits, section.get(INPUT_HEAD..).unwrap_or_default().as_chunks().0)
     }
 
-    /// A network, or the network of a decoder; without layers where there is none.
+    /// A network or decoder; without layers where there is none.
+    #[inline(never)]
     pub(crate) fn net(&self, section: Section) -> Net<'a> {
-        let [q, confidence, decoder] = self.layers;
-        let layers = match section {
-            Section::Q => q,
-            Section::Confidence => confidence,
-            _ => decoder,
-        };
-        Net { file: self.file, layers }
+        let (head, rest) = self.section(section).split_first_chunk().unwrap_or((&[0; NET_HEAD], &[]));
+        let half = |at| u16_at(head, at).unwrap_or_default();
+        let word = |at| u32_at(head, at).unwrap_or_default();
+        let threshold = [word(8), word(12)];
+        let (mut count, mut frac_bits, mut slots, mut table) = (half(0), half(2), 0, &[][..]);
+        if section == Section::Decoder {
+            // A decoder has its kind before the number of layers.
+            (count, frac_bits, slots) = (half(2), half(4), self.spec.action_dim);
+            table = slice_of(self.file, word(8), word(12));
+        }
+        let layers = rest.as_chunks().0.get(..count.into()).unwrap_or_default();
+        let heads = rest.get(layers.as_flattened().len()..).unwrap_or_default().as_chunks().0;
+        let heads = heads.get(..slots.into()).unwrap_or_default();
+        Net { file: self.file, layers, heads, table, frac_bits: frac_bits.into(), threshold }
     }
 
     /// The confidence network reads the Q-network's last hidden layer, not the observation.
@@ -117,40 +124,16 @@ impl<'a> Image<'a> {
         net.layer(hidden)
     }
 
-    /// Fraction bits of the logits of a network or decoder, in log2 units.
-    pub(crate) fn frac_bits(&self, section: Section) -> u32 {
-        // A decoder has its kind before the number of layers.
-        let at = if section == Section::Decoder { 4 } else { 2 };
-        u16_at(self.section(section), at).unwrap_or_default().into()
-    }
-
     /// Value of one unit of the logits of the Q-network or the confidence network.
     pub(crate) fn logit_scale(&self, section: Section) -> f32 {
         f32_at(self.section(section), 4).unwrap_or_default()
     }
 
-    /// Threshold of the mask, where there is a confidence network.
-    pub(crate) fn threshold(&self) -> Option<Threshold> {
-        if self.net(Section::Confidence).layers.is_empty() {
-            return None;
-        }
-        let section = self.section(Section::Confidence);
-        Some(Threshold { num: u32_at(section, 8)?, den: u32_at(section, 12)? })
-    }
-
-    /// From latent and observation to head values.
-    pub(crate) fn decoder(&self) -> Decoder<'a> {
-        let section = self.section(Section::Decoder);
-        let word = |at| u32_at(section, at).unwrap_or_default();
-        let table = slice_of(self.file, word(8), word(12));
-        let net = self.net(Section::Decoder);
-        if net.layers.is_empty() {
-            return Decoder::Table { actions: table };
-        }
-        let at = net.layers.len().wrapping_mul(LAYER_LEN).wrapping_add(NET_HEAD);
-        let heads = section.get(at..).unwrap_or_default().as_chunks::<HEAD_LEN>().0;
-        let heads = heads.get(..usize::from(self.spec.action_dim)).unwrap_or_default();
-        Decoder::Modulated { net, modulation: table, heads }
+    /// Numerator and denominator of the mask's threshold, where there is a confidence network.
+    pub(crate) fn threshold(&self) -> Option<(u32, u32)> {
+        let net = self.net(Section::Confidence);
+        let [num, den] = net.threshold;
+        (!net.layers.is_empty()).then_some((num, den))
     }
 
     /// The self-test vectors.

@@ -8,8 +8,8 @@
 use crate::crc::crc32;
 use crate::error::LoadError;
 use crate::fields::{bytes_at, u16_at, u32_at};
-use crate::image::Image;
-use crate::interface::{ACTION_LEN, HEAD_BINARY, HEAD_CONTINUOUS, HEAD_DISCRETE, OBSERVATION_LEN, fnv};
+use crate::image::{INPUT_LEN, Image};
+use crate::interface::{ACTION_LEN, HEAD_BINARY, HEAD_CONTINUOUS, HEAD_DISCRETE, OBSERVATION_LEN, action_head, fnv};
 use crate::load_net::{check_decoder, check_net};
 use crate::prove::prove;
 use crate::provenance::PROVENANCE_HEAD;
@@ -20,24 +20,29 @@ use crate::schema::{
     RUNTIME_ABI, RUNTIME_ABI_SEPARATE, SECTION_ALIGN, Section, TABLE_LEN, WeightKind, padded,
 };
 use crate::scratch::{scratch_words, scratch_words_float};
+use crate::space::ActionHead;
 
 /// Checks a file.
-pub(crate) fn load(bytes: &[u8], kind: WeightKind) -> Result<Image<'_>, LoadError> {
-    let mut reader = Reader::new(Image::new(bytes, kind));
+pub(crate) fn load<const PROVE: bool>(bytes: &[u8], kind: WeightKind) -> Result<Image<'_>, LoadError> {
+    let mut reader = Reader::<PROVE>::new(Image::new(bytes, kind));
     check(&mut reader, kind);
     reader.finish()
 }
 
 /// All of it.
 #[inline(never)]
-fn check(reader: &mut Reader<'_>, kind: WeightKind) {
+fn check<const PROVE: bool>(reader: &mut Reader<'_, PROVE>, kind: WeightKind) {
     header(reader, kind);
     if reader.failed() {
         return;
     }
     let payload_end = (reader.image.word(16) as usize).wrapping_add(HEADER_LEN);
     table(reader, payload_end);
-    interface(reader);
+    if PROVE {
+        interface(reader);
+    } else {
+        trusted_interface(reader);
+    }
     input(reader);
     check_net(reader, kind, Section::Q);
     let confidence = !reader.image.section(Section::Confidence).is_empty() || reader.image.shared_trunk();
@@ -46,22 +51,26 @@ fn check(reader: &mut Reader<'_>, kind: WeightKind) {
     }
     let head_rows = check_decoder(reader, kind);
     self_tests(reader);
-    provenance(reader);
-    trailer(reader, payload_end);
-    if kind == WeightKind::Int8 {
-        prove(reader);
+    if PROVE {
+        provenance(reader);
+        trailer(reader, payload_end);
+        if kind == WeightKind::Int8 {
+            prove(reader);
+        }
     }
     let size = if kind == WeightKind::Int8 { scratch_words } else { scratch_words_float };
     let Image { spec, hidden_width, .. } = &mut reader.image;
     let (obs_dim, latents) = (usize::from(spec.obs_dim), usize::from(spec.num_latents));
     let words = size(obs_dim, usize::from(*hidden_width), latents, confidence, head_rows);
     spec.scratch_words = words;
-    reader.enter_at(Section::Header, 36, HEADER_LEN);
-    reader.exactly(words);
+    if PROVE {
+        reader.enter_at(Section::Header, 36, HEADER_LEN);
+        reader.exactly(words);
+    }
 }
 
 /// Length, checksums and versions; the image becomes that of the file, without what follows it in its slot.
-fn header(reader: &mut Reader<'_>, kind: WeightKind) {
+fn header<const PROVE: bool>(reader: &mut Reader<'_, PROVE>, kind: WeightKind) {
     let bytes = reader.image.file;
     let cut_off = |expected| LoadError::Truncated { expected, found: bytes.len() };
     let Some(header) = bytes.first_chunk::<HEADER_LEN>() else {
@@ -69,7 +78,7 @@ fn header(reader: &mut Reader<'_>, kind: WeightKind) {
     };
     let magic: [u8; 8] = bytes_at(header, 0).unwrap_or_default();
     if magic != MAGIC {
-        return reader.fail(foreign(magic));
+        return reader.fail(if PROVE { foreign(magic) } else { LoadError::NotAPolicy { found: magic } });
     }
     let found = bytes.as_ptr().addr() % IMAGE_ALIGN;
     if found != 0 {
@@ -92,17 +101,9 @@ fn header(reader: &mut Reader<'_>, kind: WeightKind) {
     if found != kind.code() {
         return reader.fail(LoadError::WeightKind { expected: kind, found });
     }
-    reader.enter_at(Section::Header, 12, HEADER_LEN);
-    for _ in 0..2 {
-        // Lengths of file and payload.
-        let found = reader.u32();
-        if !found.is_multiple_of(16) {
-            reader.at = reader.at.wrapping_sub(4);
-            reader.exactly((found & !15) as usize);
-        }
+    if PROVE {
+        lengths(reader);
     }
-    reader.at = 46;
-    reader.zeros(14);
     let (total, payload_len) = (word(12) as usize, word(16) as usize);
     let Some(file) = bytes.get(..total) else {
         return reader.fail(cut_off(total));
@@ -118,6 +119,20 @@ fn header(reader: &mut Reader<'_>, kind: WeightKind) {
     reader.image.file = file;
 }
 
+/// Whole lengths of file and payload, and what of the header is not used.
+fn lengths<const PROVE: bool>(reader: &mut Reader<'_, PROVE>) {
+    reader.enter_at(Section::Header, 12, HEADER_LEN);
+    for _ in 0..2 {
+        let found = reader.u32();
+        if !found.is_multiple_of(16) {
+            reader.at = reader.at.wrapping_sub(4);
+            reader.exactly((found & !15) as usize);
+        }
+    }
+    reader.at = 46;
+    reader.zeros(14);
+}
+
 /// Names the likely cause of a wrong magic.
 fn foreign(found: [u8; 8]) -> LoadError {
     if found == [0xFF; 8] || found == [0; 8] {
@@ -130,7 +145,7 @@ fn foreign(found: [u8; 8]) -> LoadError {
 }
 
 /// The sections, which must follow each other without gaps but padding.
-fn table(reader: &mut Reader<'_>, payload_end: usize) {
+fn table<const PROVE: bool>(reader: &mut Reader<'_, PROVE>, payload_end: usize) {
     reader.enter_at(Section::Table, HEADER_LEN, payload_end);
     reader.far = HEADER_LEN + TABLE_LEN;
     for _ in Section::IN_TABLE {
@@ -147,7 +162,7 @@ fn table(reader: &mut Reader<'_>, payload_end: usize) {
     reader.end();
 }
 
-fn interface(reader: &mut Reader<'_>) {
+fn interface<const PROVE: bool>(reader: &mut Reader<'_, PROVE>) {
     reader.enter(Section::Interface);
     let start = reader.at;
     let obs_dim = reader.u16(1, MAX_OBS);
@@ -196,7 +211,25 @@ fn interface(reader: &mut Reader<'_>) {
     }
 }
 
-fn action(reader: &mut Reader<'_>) {
+/// The dimensions, and of the continuous actions the ranges, which a step clamps to; not the names, and not the hash.
+fn trusted_interface<const PROVE: bool>(reader: &mut Reader<'_, PROVE>) {
+    reader.enter(Section::Interface);
+    reader.image.spec.obs_dim = short(reader.u16(1, MAX_OBS));
+    reader.image.spec.action_dim = short(reader.u16(1, MAX_ACTIONS));
+    reader.image.spec.control_period_us = reader.u32();
+    // As many records as there are actions.
+    let actions = reader.image.actions();
+    reader.at =
+        reader.at.wrapping_add(8).wrapping_add(usize::from(reader.image.spec.obs_dim).wrapping_mul(OBSERVATION_LEN));
+    reader.take(usize::from(reader.image.spec.action_dim).wrapping_mul(ACTION_LEN));
+    for record in actions {
+        if let ActionHead::Continuous { lo, hi } = action_head(record) {
+            reader.require(lo < hi && hi - lo <= f32::MAX, lo);
+        }
+    }
+}
+
+fn action<const PROVE: bool>(reader: &mut Reader<'_, PROVE>) {
     let kind = short(reader.u16(HEAD_CONTINUOUS.into(), HEAD_BINARY.into()));
     let mut count = 2;
     if kind == HEAD_DISCRETE {
@@ -213,32 +246,41 @@ fn action(reader: &mut Reader<'_>) {
     }
 }
 
-fn input(reader: &mut Reader<'_>) {
+fn input<const PROVE: bool>(reader: &mut Reader<'_, PROVE>) {
     reader.enter(Section::Input);
     reader.u16(8, INPUT_BITS.into());
     reader.zeros(14);
-    for _ in 0..reader.image.spec.obs_dim {
-        reader.finite();
-        // Positive and normal.
-        reader.number(f32::MIN_POSITIVE, f32::MAX);
+    if PROVE {
+        for _ in 0..reader.image.spec.obs_dim {
+            reader.finite();
+            // Positive and normal.
+            reader.number(f32::MIN_POSITIVE, f32::MAX);
+        }
+    } else {
+        reader.take(usize::from(reader.image.spec.obs_dim).wrapping_mul(INPUT_LEN));
     }
     reader.end();
 }
 
-fn self_tests(reader: &mut Reader<'_>) {
+fn self_tests<const PROVE: bool>(reader: &mut Reader<'_, PROVE>) {
     reader.enter(Section::SelfTest);
     let count = reader.u16(1, MAX_SELF_TESTS);
     reader.zeros(14);
-    for _ in 0..count {
-        reader.numbers(reader.image.spec.obs_dim.into());
-        reader.take(2);
-        reader.zeros(2);
-        reader.numbers(reader.image.spec.action_dim.into());
+    let (obs_dim, action_dim) = (reader.image.spec.obs_dim.into(), usize::from(reader.image.spec.action_dim));
+    if PROVE {
+        for _ in 0..count {
+            reader.numbers(obs_dim);
+            reader.take(2);
+            reader.zeros(2);
+            reader.numbers(action_dim);
+        }
+    } else {
+        reader.numbers(obs_dim.wrapping_add(action_dim).wrapping_add(1).wrapping_mul(count));
     }
     reader.end();
 }
 
-fn provenance(reader: &mut Reader<'_>) {
+fn provenance<const PROVE: bool>(reader: &mut Reader<'_, PROVE>) {
     reader.enter(Section::Provenance);
     reader.far = reader.at.wrapping_add(PROVENANCE_HEAD);
     reader.take(24);
@@ -253,7 +295,7 @@ fn provenance(reader: &mut Reader<'_>) {
     reader.end();
 }
 
-fn trailer(reader: &mut Reader<'_>, from: usize) {
+fn trailer<const PROVE: bool>(reader: &mut Reader<'_, PROVE>, from: usize) {
     reader.enter_at(Section::Trailer, from, reader.image.file.len());
     while reader.more() {
         reader.take(2);

@@ -19,25 +19,28 @@ pub(crate) const MAX_FRAC_BITS: u16 = 24;
 
 /// The Q-network, whose outputs are the latents, or the confidence network, which has as many.
 #[inline(never)]
-pub(crate) fn check_net(reader: &mut Reader<'_>, kind: WeightKind, section: Section) {
+pub(crate) fn check_net<const PROVE: bool>(reader: &mut Reader<'_, PROVE>, kind: WeightKind, section: Section) {
     reader.enter(section);
     let shared = section == Section::Confidence && reader.image.shared_trunk();
     let count = reader.u16(1, if shared { MAX_LAYERS_ON_TRUNK } else { MAX_LAYERS });
     frac_bits(reader, kind);
-    // Positive.
-    reader.number(f32::from_bits(1), f32::MAX);
+    if PROVE {
+        // Positive.
+        reader.number(f32::from_bits(1), f32::MAX);
+    } else {
+        reader.take(4);
+    }
     let latents = usize::from(reader.image.spec.num_latents);
     let outputs = if section == Section::Q {
         reader.zeros(8);
         (1, MAX_LATENTS)
     } else {
-        let at = reader.at;
-        reader.take(4);
-        let den = reader.field(4, 2, MAX_BETA_DEN);
-        reader.far = reader.at;
-        reader.at = at;
-        reader.field(4, 1, den.saturating_sub(1));
-        reader.swap();
+        // Any two numbers give a set; an empty one is made up for.
+        if PROVE {
+            threshold(reader);
+        } else {
+            reader.take(8);
+        }
         (latents, latents)
     };
     let mut inputs = (usize::from(reader.image.spec.obs_dim), 0);
@@ -51,8 +54,19 @@ pub(crate) fn check_net(reader: &mut Reader<'_>, kind: WeightKind, section: Sect
     reader.end();
 }
 
+/// A fraction between 0 and 1.
+fn threshold<const PROVE: bool>(reader: &mut Reader<'_, PROVE>) {
+    let at = reader.at;
+    reader.take(4);
+    let den = reader.field(4, 2, MAX_BETA_DEN);
+    reader.far = reader.at;
+    reader.at = at;
+    reader.field(4, 1, den.saturating_sub(1));
+    reader.swap();
+}
+
 /// Fraction bits of logits; a float file has none.
-fn frac_bits(reader: &mut Reader<'_>, kind: WeightKind) {
+fn frac_bits<const PROVE: bool>(reader: &mut Reader<'_, PROVE>, kind: WeightKind) {
     reader.u16(0, if kind == WeightKind::Int8 { MAX_FRAC_BITS.into() } else { 0 });
 }
 
@@ -60,8 +74,8 @@ fn frac_bits(reader: &mut Reader<'_>, kind: WeightKind) {
 /// streams follow `between` bytes after the records. Leaves `at` after the records and `far` after the streams; returns the
 /// rows of the last layer.
 #[inline(never)]
-fn check_layers(
-    reader: &mut Reader<'_>,
+fn check_layers<const PROVE: bool>(
+    reader: &mut Reader<'_, PROVE>,
     kind: WeightKind,
     count: usize,
     inputs: (usize, usize),
@@ -105,12 +119,11 @@ fn check_layers(
         reader.image.spec.macs = reader.image.spec.macs.wrapping_add(word(rows.wrapping_mul(width)));
         width = rows;
     }
-    reader.note_layers(count);
     width
 }
 
 /// A stream or a table, whose numbers must be finite in a float file.
-fn weights(reader: &mut Reader<'_>, kind: WeightKind, len: usize) {
+fn weights<const PROVE: bool>(reader: &mut Reader<'_, PROVE>, kind: WeightKind, len: usize) {
     match kind {
         WeightKind::Int8 => _ = reader.take(len),
         WeightKind::Float32 => reader.numbers(len / 4),
@@ -118,18 +131,28 @@ fn weights(reader: &mut Reader<'_>, kind: WeightKind, len: usize) {
 }
 
 /// The decoder; returns the rows of its head layer.
-pub(crate) fn check_decoder(reader: &mut Reader<'_>, kind: WeightKind) -> usize {
+pub(crate) fn check_decoder<const PROVE: bool>(reader: &mut Reader<'_, PROVE>, kind: WeightKind) -> usize {
     reader.enter(Section::Decoder);
     let actions = reader.image.actions();
     let latents = usize::from(reader.image.spec.num_latents);
     if reader.u16(DECODER_MODULATED.into(), DECODER_TABLE.into()) == usize::from(DECODER_TABLE) {
-        reader.zeros(6);
+        if PROVE {
+            reader.zeros(6);
+        } else {
+            // Or the step would find layers.
+            reader.u16(0, 0);
+            reader.take(4);
+        }
         reader.exactly(reader.start.wrapping_add(NET_HEAD));
         reader.exactly(latents.wrapping_mul(actions.len()).wrapping_mul(4));
-        for _ in 0..latents {
-            for record in actions {
-                check_constant(reader, record);
+        if PROVE {
+            for _ in 0..latents {
+                for record in actions {
+                    check_constant(reader, record);
+                }
             }
+        } else {
+            reader.numbers(latents.wrapping_mul(actions.len()));
         }
         reader.end();
         return 0;
@@ -167,7 +190,7 @@ pub(crate) fn check_decoder(reader: &mut Reader<'_>, kind: WeightKind) -> usize 
 }
 
 /// Head records against the action slots; returns the rows they take.
-fn check_heads(reader: &mut Reader<'_>, actions: &[[u8; ACTION_LEN]]) -> usize {
+fn check_heads<const PROVE: bool>(reader: &mut Reader<'_, PROVE>, actions: &[[u8; ACTION_LEN]]) -> usize {
     let mut total = 0usize;
     for record in actions {
         let (low, high, count) = match action_head(record) {
@@ -184,7 +207,7 @@ fn check_heads(reader: &mut Reader<'_>, actions: &[[u8; ACTION_LEN]]) -> usize {
 }
 
 /// A value of a table decoder.
-fn check_constant(reader: &mut Reader<'_>, record: &[u8; ACTION_LEN]) {
+fn check_constant<const PROVE: bool>(reader: &mut Reader<'_, PROVE>, record: &[u8; ACTION_LEN]) {
     match action_head(record) {
         ActionHead::Continuous { .. } => _ = reader.number(-1.0, 1.0),
         ActionHead::Discrete { n } => reader.index(n.into()),

@@ -3,6 +3,7 @@
 use crate::argmax::top;
 use crate::kernels::{ONE, exp2_below};
 use crate::schema::MAX_LATENTS;
+use core::hint::select_unpredictable;
 
 const WORDS: usize = MAX_LATENTS / 32;
 
@@ -21,17 +22,10 @@ impl LatentMask {
 
     /// The latents `0..count`; a count beyond [`MAX_LATENTS`] gives all.
     #[must_use]
-    #[inline(never)]
     pub fn full(count: u16) -> Self {
         let mut mask = Self::empty();
-        let mut left = u32::from(count);
-        for word in &mut mask.bits {
-            if left < 32 {
-                *word = (1 << left) - 1;
-                break;
-            }
-            *word = u32::MAX;
-            left = left.wrapping_sub(32);
+        for latent in 0..count {
+            mask.insert(latent);
         }
         mask
     }
@@ -87,9 +81,10 @@ pub(crate) struct MaskRule {
 }
 
 impl MaskRule {
-    /// The allowed set and whether the empty-mask rule made it. `logits` are `i32` as words; they are overwritten with
-    /// the exponentials. No branch depends on their values: the rules for an empty mask are always computed.
-    pub(crate) fn allowed(self, logits: &mut [u32]) -> (LatentMask, bool) {
+    /// Takes those that the rule does not allow out of the `allowed`, which are all, and says whether the rules for an empty
+    /// mask made the set. `logits` are `i32` as words; they are overwritten with the exponentials. No branch depends on their
+    /// values.
+    pub(crate) fn restrict(self, logits: &mut [u32], allowed: &mut LatentMask) -> bool {
         // `load` keeps logits below 2^30 in magnitude, so that differences fit.
         let (most_confident, top) = top(logits);
         exp2_below(logits, top, self.frac_bits);
@@ -101,24 +96,22 @@ impl MaskRule {
         }
         // At most 256 * 2^30 * 2^24 = 2^62.
         let threshold = sum.wrapping_mul(u64::from(self.num));
-        let mut mask = LatentMask::empty();
-        for (word, logits) in mask.bits.iter_mut().zip(logits.chunks(32)) {
-            for &e in logits.iter().rev() {
-                let above = u64::from(e).wrapping_mul(u64::from(self.den)) > threshold;
-                *word = (*word << 1) | u32::from(above);
+        let den = u64::from(self.den);
+        // Nothing passes what the most confident latent, whose exponential is 1, does not pass.
+        let fallback = u64::from(ONE).wrapping_mul(den) <= threshold;
+        let equal = u64::from(ONE.wrapping_sub(least)).wrapping_mul(1_000_000) < sum;
+        let enough = select_unpredictable(fallback & equal, 0, threshold.wrapping_add(1));
+        for (word, logits) in allowed.bits.iter_mut().zip(logits.chunks(32)) {
+            let mut bit = 1u32;
+            for &e in logits {
+                let below = u64::from(e).wrapping_mul(den) < enough;
+                *word &= !select_unpredictable(below, bit, 0);
+                bit = bit.wrapping_shl(1);
             }
         }
-        let fallback = mask.is_empty();
-        let equal = u64::from(ONE.wrapping_sub(least)).wrapping_mul(1_000_000) < sum;
-        if let Some(word) = mask.bits.get_mut(usize::from(most_confident >> 5)) {
-            *word |= u32::from(fallback) << (most_confident & 31);
-        }
-        let all = u16::try_from(logits.len()).unwrap_or(u16::MAX);
-        let all_ones = 0u32.wrapping_sub(u32::from(fallback & equal));
-        for (word, all) in mask.bits.iter_mut().zip(LatentMask::full(all).bits) {
-            *word |= all & all_ones;
-        }
-        (mask, fallback)
+        // Without the fallback it is among them.
+        allowed.insert(most_confident);
+        fallback
     }
 }
 
@@ -132,7 +125,8 @@ mod tests {
     fn allowed(probabilities: &[f64], num: u32, den: u32) -> (std::vec::Vec<u16>, bool) {
         let mut logits: std::vec::Vec<u32> =
             probabilities.iter().map(|p| ((p.log2() * 65536.0).round() as i32).cast_unsigned()).collect();
-        let (mask, fallback) = MaskRule { num, den, frac_bits: F }.allowed(&mut logits);
+        let mut mask = LatentMask::full(logits.len() as u16);
+        let fallback = MaskRule { num, den, frac_bits: F }.restrict(&mut logits, &mut mask);
         (mask.iter().collect(), fallback)
     }
 

@@ -1,6 +1,6 @@
 //! Views of networks and decoders in the image.
 
-use crate::fields::{f32_at, slice_of, u16_at, u32_at};
+use crate::fields::{slice_of, u16_at, u32_at};
 
 /// Bytes of the fixed part of a network or decoder section.
 pub(crate) const NET_HEAD: usize = 16;
@@ -25,17 +25,9 @@ pub(crate) const ENCODING_TYPES: u8 = 2;
 pub(crate) const ENCODING_SWITCH: u8 = 3;
 
 /// Codes of the snap rules in a head record.
-#[cfg(any(test, feature = "encode"))]
 pub(crate) const SNAP_NONE: u8 = 0;
 pub(crate) const SNAP_EDGES: u8 = 1;
 pub(crate) const SNAP_ANY: u8 = 2;
-
-/// The threshold of a mask, as a fraction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Threshold {
-    pub(crate) num: u32,
-    pub(crate) den: u32,
-}
 
 /// One dense layer.
 #[derive(Clone, Copy, Debug)]
@@ -47,12 +39,21 @@ pub(crate) struct Layer<'a> {
     pub(crate) stream: &'a [u8],
 }
 
-/// Layers in order; the last one is linear.
+/// A network or a decoder: layers in order, of which the last one is linear.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Net<'a> {
     pub(crate) file: &'a [u8],
     /// Records of the layers.
     pub(crate) layers: &'a [[u8; LAYER_LEN]],
+    /// Records of the heads of a decoder with layers.
+    pub(crate) heads: &'a [[u8; HEAD_LEN]],
+    /// Of a decoder: multipliers and offsets of the first layer for each latent, or without layers one `f32` per slot and
+    /// latent.
+    pub(crate) table: &'a [u8],
+    /// Fraction bits of the logits, in log2 units.
+    pub(crate) frac_bits: u32,
+    /// Numerator and denominator of the mask's threshold, of a confidence network.
+    pub(crate) threshold: [u32; 2],
 }
 
 impl<'a> Layer<'a> {
@@ -81,23 +82,17 @@ impl<'a> Net<'a> {
         self.layers.last().and_then(|record| u16_at(record, 0)).unwrap_or_default()
     }
 
+    /// One record a slot, of a head or of a table decoder's constant.
+    pub(crate) fn slots(&self, latent: u16, slots: usize) -> &'a [[u8; HEAD_LEN]] {
+        if !self.layers.is_empty() {
+            return self.heads;
+        }
+        let at = usize::from(latent).wrapping_mul(slots);
+        self.table.as_chunks().0.get(at..at.wrapping_add(slots)).unwrap_or_default()
+    }
+
     /// Rows of the first layer.
     pub(crate) fn first_rows(&self) -> u16 {
         self.layers.first().and_then(|record| u16_at(record, 0)).unwrap_or_default()
     }
-}
-
-/// The constants of a table decoder for one latent.
-pub(crate) fn constants(table: &[u8], latent: u16, slots: usize) -> impl Iterator<Item = f32> + '_ {
-    let start = usize::from(latent).wrapping_mul(slots).wrapping_mul(4);
-    (0..slots).map(move |slot| f32_at(table, start.wrapping_add(slot.wrapping_mul(4))).unwrap_or_default())
-}
-
-/// From latent and observation to head values.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Decoder<'a> {
-    /// The first layer takes multipliers and offsets from `modulation`, one table per latent.
-    Modulated { net: Net<'a>, modulation: &'a [u8], heads: &'a [[u8; HEAD_LEN]] },
-    /// One `f32` per slot and latent.
-    Table { actions: &'a [u8] },
 }

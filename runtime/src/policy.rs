@@ -2,20 +2,20 @@
 
 use crate::argmax::masked_argmax;
 use crate::decision::Decision;
-use crate::decoder::emit_heads;
+use crate::decoder::emit;
 use crate::error::{ActError, LoadError, SelfTestError};
 use crate::fields::f32_at;
-use crate::image::Image;
-use crate::interface::{ActionSignal, ObservationSignal, action_head};
+use crate::image::{INPUT_LEN, Image};
+use crate::interface::{ActionSignal, ObservationSignal};
 use crate::kernels::layer;
 use crate::load::load;
 use crate::mask::{LatentMask, MaskRule};
-use crate::net::{Decoder, LINEAR_BITS, Layer, Net, constants};
+use crate::net::{LINEAR_BITS, Layer, Net};
 use crate::provenance::Provenance;
 use crate::quant::{input_max, quantise_input};
 use crate::schema::{Header, PolicySpec, Section, WeightKind, padded};
 use crate::scratch::Scratch;
-use crate::self_test::{self_test_vectors, slot_differs};
+use crate::self_test::self_test_vectors;
 use crate::sizes::{LayerShape, SectionSizes, layer_shapes};
 
 /// How one observation becomes an integer: `round((x - offset) * scale)`, clamped to `-max - 1..=max`.
@@ -67,7 +67,20 @@ impl<'a> Policy<'a> {
     /// # Errors
     /// [`LoadError`] says what is wrong and where.
     pub fn load(image: &'a [u8]) -> Result<Self, LoadError> {
-        load(image, WeightKind::Int8).map(|image| Self { image })
+        load::<true>(image, WeightKind::Int8).map(|image| Self { image })
+    }
+
+    /// As [`load`](Self::load), of a file from an exporter that is trusted: checksums, versions, lengths, shapes and the ranges
+    /// of the actions, but not the proof from the weights, nor texts, numbers and padding that a step does not depend on. In
+    /// less than half of the code; `docs/src/porting.md` lists what is checked.
+    ///
+    /// From a file that [`load`](Self::load) accepts it is the same policy. With any other bytes a step cannot panic, stays
+    /// within file and scratch memory, and gives an action within the ranges of the file, but which one is not promised.
+    ///
+    /// # Errors
+    /// [`LoadError`] says what is wrong and where.
+    pub fn load_trusted(image: &'a [u8]) -> Result<Self, LoadError> {
+        load::<false>(image, WeightKind::Int8).map(|image| Self { image })
     }
 
     #[cfg(feature = "encode")]
@@ -108,11 +121,7 @@ impl<'a> Policy<'a> {
     pub fn input_quantisers(&self) -> impl Iterator<Item = InputQuantiser> + Clone + use<'a> {
         let (bits, records) = self.image.input();
         let max = input_max(bits);
-        records.iter().map(move |record| InputQuantiser {
-            max,
-            offset: f32_at(record, 0).unwrap_or_default(),
-            scale: f32_at(record, 4).unwrap_or_default(),
-        })
+        records.iter().map(move |&record| quantiser(max, record))
     }
 
     /// Where the policy comes from.
@@ -140,7 +149,7 @@ impl<'a> Policy<'a> {
     /// Threshold of the mask as a fraction, when the policy has a confidence network.
     #[must_use]
     pub fn mask_threshold(&self) -> Option<(u32, u32)> {
-        self.image.threshold().map(|threshold| (threshold.num, threshold.den))
+        self.image.threshold()
     }
 
     /// Whether the confidence network reads the Q-network's last hidden layer instead of the observation.
@@ -164,8 +173,8 @@ impl<'a> Policy<'a> {
         if let Some(index) = obs.iter().position(|x| !x.is_finite()) {
             return Err(ActError::NonFinite { index });
         }
-        let clipped = self.quantise(scratch, obs.iter().copied());
-        self.step(scratch, clipped, &mut |slot, value| store(action, slot, value))
+        let clipped = self.quantise(scratch, 0, obs);
+        self.step(scratch, clipped, &mut Output { action, ..Output::default() })
     }
 
     /// As [`act`](Self::act), with an observation that is already quantised by
@@ -177,14 +186,14 @@ impl<'a> Policy<'a> {
         self.check_lengths(obs.len(), action.len())?;
         let max = input_max(self.image.input().0);
         let least = max.wrapping_neg().wrapping_sub(1);
+        let words = self.clear(scratch);
         let mut clipped = false;
-        let clamped = obs.iter().map(|&x| {
+        for (index, &x) in obs.iter().enumerate() {
             let inside = if x > max { max } else { x.max(least) };
             clipped |= inside != x;
-            inside
-        });
-        self.pack(scratch, clamped);
-        self.step(scratch, clipped, &mut |slot, value| store(action, slot, value))
+            put(words, index, inside);
+        }
+        self.step(scratch, clipped, &mut Output { action, ..Output::default() })
     }
 
     /// Runs the vectors of the file: latent and every bit of the action must be as stored. A policy that fails must not
@@ -195,19 +204,16 @@ impl<'a> Policy<'a> {
     pub fn self_test(&self, scratch: &mut Scratch) -> Result<(), SelfTestError> {
         let (obs_dim, slots) = (usize::from(self.image.spec.obs_dim), usize::from(self.image.spec.action_dim));
         for (vector, case) in self_test_vectors(self.image.self_tests(), obs_dim, slots).enumerate() {
-            let mut first = None;
-            let clipped = self.quantise(scratch, case.observation());
-            let decision = self.step(scratch, clipped, &mut |slot, found| {
-                let expected = case.action(slot);
-                if slot_differs(expected, found) && first.is_none() {
-                    first = Some(SelfTestError::Action { vector, slot, expected, found });
-                }
-            })?;
+            for (index, &x) in case.observation.iter().enumerate() {
+                self.quantise(scratch, index, &[f32::from_le_bytes(x)]);
+            }
+            let mut output = Output { expected: case.actions, ..Output::default() };
+            let decision = self.step(scratch, false, &mut output)?;
             if decision.latent != case.latent {
                 return Err(SelfTestError::Latent { vector, expected: case.latent, found: decision.latent });
             }
-            if let Some(error) = first {
-                return Err(error);
+            if let Some((slot, expected, found)) = output.difference {
+                return Err(SelfTestError::Action { vector, slot, expected, found });
             }
         }
         Ok(())
@@ -238,26 +244,28 @@ impl<'a> Policy<'a> {
         Ok(Work { input, first, second, logits })
     }
 
-    /// Quantises an observation into the front of the scratch memory.
-    fn quantise(&self, scratch: &mut Scratch, obs: impl Iterator<Item = f32>) -> bool {
+    /// Quantises values of the observation, the first of which is its value `first`, into the front of the scratch memory;
+    /// whether one was out of range.
+    #[inline(never)]
+    fn quantise(&self, scratch: &mut Scratch, first: usize, values: &[f32]) -> bool {
+        let (bits, records) = self.image.input();
+        let words = if first == 0 { self.clear(scratch) } else { &mut *scratch.memory };
+        let max = input_max(bits);
         let mut clipped = false;
-        let quantised = obs.zip(self.input_quantisers()).map(|(x, quantiser)| {
-            let (value, outside) = quantiser.quantise(x);
+        for ((&x, record), index) in values.iter().zip(records.get(first..).unwrap_or_default()).zip(first..) {
+            let (value, outside) = quantiser(max, *record).quantise(x);
             clipped |= outside;
-            value
-        });
-        self.pack(scratch, quantised);
+            put(words, index, value);
+        }
         clipped
     }
 
-    /// Two values to a word, the first in the low half; the rest of the words is zero.
-    fn pack(&self, scratch: &mut Scratch, values: impl Iterator<Item = i16>) {
-        let mut values = values;
-        for word in scratch.memory.iter_mut().take(self.input_words()) {
-            let low = values.next().unwrap_or(0).cast_unsigned();
-            let high = values.next().unwrap_or(0).cast_unsigned();
-            *word = u32::from(low) | (u32::from(high) << 16);
-        }
+    /// Where the quantised observation goes, as far as there is memory for it: zeros.
+    fn clear<'m>(&self, scratch: &'m mut Scratch) -> &'m mut [u32] {
+        let len = self.input_words().min(scratch.memory.len());
+        let words = scratch.memory.get_mut(..len).unwrap_or_default();
+        words.fill(0);
+        words
     }
 
     fn input_words(&self) -> usize {
@@ -266,57 +274,69 @@ impl<'a> Policy<'a> {
 
     /// From the quantised observation, at the front of the scratch memory, to the action.
     #[inline(never)]
-    fn step(
-        &self,
-        scratch: &mut Scratch,
-        clipped: bool,
-        sink: &mut dyn FnMut(usize, f32),
-    ) -> Result<Decision, ActError> {
+    fn step(&self, scratch: &mut Scratch, clipped: bool, output: &mut Output<'_>) -> Result<Decision, ActError> {
         let mut work = self.divide(scratch)?;
         let latents = usize::from(self.image.spec.num_latents);
         let second = padded(latents, 4);
-        run(&self.image.net(Section::Q), None, &mut work, 0, None);
-        let (allowed, fallback) = if let Some(threshold) = self.image.threshold() {
-            let trunk = self.image.shared_trunk().then_some(self.image.net(Section::Q).layers.len());
-            run(&self.image.net(Section::Confidence), None, &mut work, second, trunk);
-            let rule = MaskRule {
-                num: threshold.num,
-                den: threshold.den,
-                frac_bits: self.image.frac_bits(Section::Confidence),
-            };
-            rule.allowed(part(work.logits, second, latents))
-        } else {
-            (LatentMask::full(self.image.spec.num_latents), false)
-        };
-        let (latent, q) = masked_argmax(part(work.logits, 0, latents), &allowed);
-        let actions = self.image.actions();
-        match self.image.decoder() {
-            Decoder::Modulated { net, modulation, heads } => {
-                run(&net, Some(latent_table(&net, modulation, latent)), &mut work, 0, None);
-                let frac_bits = self.image.frac_bits(Section::Decoder);
-                emit_heads(heads, actions, frac_bits, work.logits, sink);
-            }
-            Decoder::Table { actions: table } => {
-                let values = constants(table, latent, actions.len()).zip(actions).enumerate();
-                for (slot, (value, record)) in values {
-                    sink(slot, action_head(record).denormalise(value));
-                }
-            }
+        let net = self.image.net(Section::Q);
+        run(&net, None, &mut work, 0, None);
+        let trunk = self.image.shared_trunk().then_some(net.layers.len());
+        let net = self.image.net(Section::Confidence);
+        let (mut allowed, mut fallback) = (LatentMask::full(self.image.spec.num_latents), false);
+        if !net.layers.is_empty() {
+            run(&net, None, &mut work, second, trunk);
+            let [num, den] = net.threshold;
+            let rule = MaskRule { num, den, frac_bits: net.frac_bits };
+            fallback = rule.restrict(part(work.logits, second, latents), &mut allowed);
         }
+        let (latent, q) = masked_argmax(part(work.logits, 0, latents), &allowed);
+        let decoder = self.image.net(Section::Decoder);
+        if !decoder.layers.is_empty() {
+            run(&decoder, Some(latent_table(&decoder, latent)), &mut work, 0, None);
+        }
+        emit(&decoder, self.image.actions(), latent, work.logits, |slot, value| output.put(slot, value));
         Ok(Decision { latent, allowed, fallback, clipped, q })
     }
 }
 
-fn store(action: &mut [f32], slot: usize, value: f32) {
-    if let Some(place) = action.get_mut(slot) {
-        *place = value;
+/// Two values to a word, the first in the low half.
+#[inline(always)]
+fn put(words: &mut [u32], index: usize, value: i16) {
+    if let Some(word) = words.get_mut(index / 2) {
+        *word |= u32::from(value.cast_unsigned()) << (index % 2 * 16);
+    }
+}
+
+fn quantiser(max: i16, record: [u8; INPUT_LEN]) -> InputQuantiser {
+    InputQuantiser { offset: f32_at(&record, 0).unwrap_or_default(), scale: f32_at(&record, 4).unwrap_or_default(), max }
+}
+
+/// Where the action of a step goes, or what it must be.
+#[derive(Default)]
+struct Output<'o> {
+    action: &'o mut [f32],
+    expected: &'o [[u8; 4]],
+    /// The first slot that is not as expected, what was, and what was found.
+    difference: Option<(usize, f32, f32)>,
+}
+
+impl Output<'_> {
+    fn put(&mut self, slot: usize, found: f32) {
+        if let Some(place) = self.action.get_mut(slot) {
+            *place = found;
+        } else if let Some(&expected) = self.expected.get(slot) {
+            let expected = f32::from_le_bytes(expected);
+            if expected.to_bits() != found.to_bits() && self.difference.is_none() {
+                self.difference = Some((slot, expected, found));
+            }
+        }
     }
 }
 
 /// The multipliers and offsets of one latent.
-pub(crate) fn latent_table<'a>(net: &Net<'a>, modulation: &'a [u8], latent: u16) -> &'a [u8] {
-    let len = padded(net.first_rows().into(), 4).wrapping_mul(8);
-    modulation.get(len.wrapping_mul(usize::from(latent))..).and_then(|rest| rest.get(..len)).unwrap_or_default()
+pub(crate) fn latent_table<'a>(decoder: &Net<'a>, latent: u16) -> &'a [u8] {
+    let len = padded(decoder.first_rows().into(), 4).wrapping_mul(8);
+    decoder.table.get(len.wrapping_mul(usize::from(latent))..).and_then(|rest| rest.get(..len)).unwrap_or_default()
 }
 
 /// `len` words from `at` on.

@@ -40,7 +40,7 @@ impl Range {
 
 /// All layers of a file whose shapes have been checked, for every latent.
 #[inline(never)]
-pub(crate) fn prove(reader: &mut Reader<'_>) {
+pub(crate) fn prove<const PROVE: bool>(reader: &mut Reader<'_, PROVE>) {
     if reader.failed() {
         return;
     }
@@ -69,7 +69,7 @@ pub(crate) fn prove(reader: &mut Reader<'_>) {
 
 /// One layer; `table` has the multipliers and offsets of a modulated one and is empty for the others.
 #[inline(never)]
-fn rows(reader: &mut Reader<'_>, layer: &Layer<'_>, range: Range, table: &[u8]) {
+fn rows<const PROVE: bool>(reader: &mut Reader<'_, PROVE>, layer: &Layer<'_>, range: Range, table: &[u8]) {
     let rows = usize::from(layer.rows);
     let padded_rows = padded(rows, 4);
     let constants_at = block_len(layer.cols, true);
@@ -119,7 +119,7 @@ fn rows(reader: &mut Reader<'_>, layer: &Layer<'_>, range: Range, table: &[u8]) 
 /// The ends of the sum of the row, whose weights must be in range and whose padding zero; the block's weights start at
 /// `at`. At most 1024 weights of magnitude 128 and inputs of 12 bits: 32 bits hold the sums.
 #[inline(never)]
-fn sums(reader: &mut Reader<'_>, layer: &Layer<'_>, range: Range, at: usize) -> (i32, i32) {
+fn sums<const PROVE: bool>(reader: &mut Reader<'_, PROVE>, layer: &Layer<'_>, range: Range, at: usize) -> (i32, i32) {
     // Two columns are two words, one for each pair of rows.
     let mut at = (reader.row & 2).wrapping_mul(2).wrapping_add(at);
     let mut left = if reader.row < layer.rows.into() { layer.cols } else { 0 };

@@ -8,11 +8,10 @@
 use crate::error::LoadError;
 use crate::image::Image;
 use crate::interface::{FNV_START, fnv};
-use crate::net::NET_HEAD;
 use crate::schema::{MAX_TEXT, SECTION_ALIGN, Section};
 
 /// Where the check is, and what it found out.
-pub(crate) struct Reader<'a> {
+pub(crate) struct Reader<'a, const PROVE: bool> {
     /// The file and its dimensions, as far as they are known.
     pub(crate) image: Image<'a>,
     /// The file up to the end of the section; empty after a fault.
@@ -32,7 +31,7 @@ pub(crate) struct Reader<'a> {
     pub(crate) row: usize,
 }
 
-impl<'a> Reader<'a> {
+impl<'a, const PROVE: bool> Reader<'a, PROVE> {
     pub(crate) fn new(image: Image<'a>) -> Self {
         Self {
             image,
@@ -164,7 +163,7 @@ impl<'a> Reader<'a> {
 
     /// The number just read must do.
     #[inline(never)]
-    fn require(&mut self, good: bool, found: f32) {
+    pub(crate) fn require(&mut self, good: bool, found: f32) {
         if !good {
             self.fail(LoadError::Number { section: self.section, offset: self.at.wrapping_sub(4), found });
         }
@@ -179,8 +178,12 @@ impl<'a> Reader<'a> {
     /// Finite numbers.
     #[inline(never)]
     pub(crate) fn numbers(&mut self, count: usize) {
-        for _ in 0..count {
-            self.finite();
+        if PROVE {
+            for _ in 0..count {
+                self.finite();
+            }
+        } else {
+            self.take(count.wrapping_mul(4));
         }
     }
 
@@ -204,7 +207,8 @@ impl<'a> Reader<'a> {
     #[inline(never)]
     pub(crate) fn zeros(&mut self, len: usize) {
         let offset = self.at;
-        if let Some(index) = self.take(len).iter().position(|&byte| byte != 0) {
+        let bytes = self.take(len);
+        if PROVE && let Some(index) = bytes.iter().position(|&byte| byte != 0) {
             self.fail(LoadError::Padding { section: self.section, offset: offset.wrapping_add(index) });
         }
     }
@@ -248,20 +252,6 @@ impl<'a> Reader<'a> {
             let (section, layer, row) = (self.section, self.layer, short(self.row));
             self.fail(LoadError::Bound { section, layer, row, limit: limit.into(), found: found.cast_signed() });
         }
-    }
-
-    /// Notes the layers of the section, whose records lie behind its fixed part.
-    #[inline(never)]
-    pub(crate) fn note_layers(&mut self, count: usize) {
-        let from = self.start.wrapping_add(NET_HEAD);
-        let records = self.bytes.get(from..).unwrap_or_default().as_chunks().0;
-        let [q, confidence, decoder] = &mut self.image.layers;
-        let layers = match self.section {
-            Section::Q => q,
-            Section::Confidence => confidence,
-            _ => decoder,
-        };
-        *layers = records.get(..count).unwrap_or_default();
     }
 
     /// Changes the places of `at` and `far`.

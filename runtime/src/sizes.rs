@@ -1,7 +1,6 @@
 //! Bytes by part and layer shapes, for inspection.
 
 use crate::image::Image;
-use crate::net::Decoder;
 use crate::schema::{HEADER_LEN, Section, TABLE_LEN};
 
 /// Bytes of each part of a file; `total` is their sum plus `padding`.
@@ -38,10 +37,7 @@ pub struct SectionSizes {
 impl SectionSizes {
     pub(crate) fn of(image: &Image<'_>) -> Self {
         let len = |section| image.section(section).len();
-        let latent_table = match image.decoder() {
-            Decoder::Modulated { modulation, .. } => modulation.len(),
-            Decoder::Table { actions } => actions.len(),
-        };
+        let latent_table = image.net(Section::Decoder).table.len();
         let mut sizes = Self {
             header: HEADER_LEN,
             table: TABLE_LEN,

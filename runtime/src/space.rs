@@ -46,14 +46,14 @@ impl ActionHead {
     }
 }
 
-/// `clamp` without its panic on unordered bounds.
+/// `clamp` without its panic on unordered bounds; `lo` of no number.
 fn bounded(x: f32, lo: f32, hi: f32) -> f32 {
-    if x < lo {
-        lo
-    } else if x > hi {
+    if x > hi {
         hi
-    } else {
+    } else if x >= lo {
         x
+    } else {
+        lo
     }
 }
 

@@ -65,6 +65,7 @@ pub mod control;
 pub mod frame;
 pub mod link;
 pub mod load;
+mod policy;
 pub mod protocol;
 pub mod reason;
 pub mod safety;

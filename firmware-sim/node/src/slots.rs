@@ -20,10 +20,10 @@
 use core::cmp::Reverse;
 
 use crc::{CRC_32_ISO_HDLC, Crc};
-use gadm_runtime::Policy;
 use strum::{FromRepr, IntoStaticStr, VariantArray};
 
 use crate::coded::coded;
+use crate::policy::load;
 use crate::store::{Candidate, Operation, Refusal, Store};
 use crate::transfer::{Resume, Transfer, image_checksum};
 
@@ -250,7 +250,7 @@ impl<F> Slots<F> {
     where
         F: Flash<'p>,
     {
-        Policy::load(self.flash.image(slot)).ok().map(|policy| policy.header().policy_seq)
+        load(self.flash.image(slot)).ok().map(|policy| policy.header().policy_seq)
     }
 
     /// The slot whose policy boots by itself, and the policy's sequence number.
@@ -272,7 +272,7 @@ impl<F> Slots<F> {
         F: Flash<'p>,
     {
         let image = self.best().map(|(slot, _)| self.flash.image(slot));
-        image.and_then(|image| Policy::load(image).ok()).map_or(0, |policy| policy.header().payload_crc32)
+        image.and_then(|image| load(image).ok()).map_or(0, |policy| policy.header().payload_crc32)
     }
 
     fn mark<'p>(&mut self, slot: usize, mark: Mark) -> Result<(), Refusal>

@@ -80,7 +80,8 @@ unsafe fn load(
     // SAFETY: the caller keeps the image readable and unchanged as long as the policy is used, so it outlives every use
     // of the reference.
     let image: &'static [u8] = unsafe { image.as_slice() };
-    let loaded = Policy::load(image).map_err(ErrorDetail::load)?;
+    let load = if cfg!(feature = "trust-exporter") { Policy::load_trusted } else { Policy::load };
+    let loaded = load(image).map_err(ErrorDetail::load)?;
     // SAFETY: the assertions above give size and alignment; the memory is the caller's to write, and overlaps nothing.
     unsafe {
         (&raw mut (*place.pointer()).image).write(image.as_ptr());

@@ -17,4 +17,8 @@ if [ "$(build prove)" != 0 ]; then
     echo "c-api: a panic is reachable in the C library on $target" >&2
     exit 1
 fi
+if [ "$(build prove,trust-exporter)" != 0 ]; then
+    echo "c-api: a panic is reachable in the C library with feature trust-exporter on $target" >&2
+    exit 1
+fi
 echo "c-api: $target, no panic is reachable"

@@ -6,9 +6,7 @@ use super::model::{
 };
 use crate::fields::i32_at;
 use crate::image::Image;
-use crate::net::{
-    Decoder, ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, HEAD_LEN, Layer, SNAP_ANY, SNAP_EDGES,
-};
+use crate::net::{ENCODING_CATEGORICAL, ENCODING_SWITCH, ENCODING_TANH, HEAD_LEN, Layer, Net, SNAP_ANY, SNAP_EDGES};
 use crate::quant::HIDDEN_SHIFT;
 use crate::{Policy, Section};
 use std::vec;
@@ -19,19 +17,15 @@ impl QuantisedModel {
     #[must_use]
     pub fn read(policy: &Policy<'_>) -> Self {
         let image = policy.image();
-        let (decoder, heads) = match image.decoder() {
-            Decoder::Table { actions } => {
-                let values: Vec<f32> = actions.as_chunks().0.iter().map(|&value| f32::from_le_bytes(value)).collect();
-                let slots = usize::from(policy.spec().action_dim);
-                (IntDecoder::Table(values.chunks(slots).map(<[f32]>::to_vec).collect()), vec![])
-            }
-            Decoder::Modulated { modulation, heads, .. } => {
-                let mut int = read_net(image, Section::Decoder);
-                if let Some(first) = int.layers.first_mut() {
-                    first.constants = read_table(modulation, first.rows);
-                }
-                (IntDecoder::Modulated(int), heads.iter().map(|&record| read_head(record)).collect())
-            }
+        let Net { table, heads, .. } = image.net(Section::Decoder);
+        let mut net = read_net(image, Section::Decoder);
+        let decoder = if let Some(first) = net.layers.first_mut() {
+            first.constants = read_table(table, first.rows);
+            IntDecoder::Modulated(net)
+        } else {
+            let values: Vec<f32> = table.as_chunks().0.iter().map(|&value| f32::from_le_bytes(value)).collect();
+            let slots = usize::from(policy.spec().action_dim);
+            IntDecoder::Table(values.chunks(slots).map(<[f32]>::to_vec).collect())
         };
         Self {
             interface: read_interface(policy),
@@ -41,7 +35,7 @@ impl QuantisedModel {
             confidence: policy.mask_threshold().map(|threshold| (read_net(image, Section::Confidence), threshold)),
             shared_trunk: policy.shared_trunk(),
             decoder,
-            heads,
+            heads: heads.iter().map(|&record| read_head(record)).collect(),
             provenance: policy.provenance().into(),
             report: QuantiseReport::default(),
         }
@@ -191,7 +185,7 @@ fn read_net(image: &Image<'_>, section: Section) -> IntNet {
     let layers = image.net(section).layers().enumerate();
     IntNet {
         layers: layers.map(|(index, layer)| read_layer(&layer, decoder && index == 0)).collect(),
-        frac_bits: image.frac_bits(section) as u16,
+        frac_bits: image.net(section).frac_bits as u16,
         scale: if decoder { 1.0 } else { image.logit_scale(section) },
     }
 }

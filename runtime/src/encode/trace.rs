@@ -2,15 +2,15 @@
 
 use super::float_act::{linear, relu, softmax_terms};
 use super::model::{Dense, FloatDecoder, FloatModel};
-use crate::decoder::emit_heads;
+use crate::Policy;
+use crate::decoder::emit;
 use crate::error::ActError;
 use crate::kernels::layer;
 use crate::mask::LatentMask;
-use crate::net::{Decoder, LINEAR_BITS, Layer, Net, constants};
+use crate::net::{LINEAR_BITS, Layer, Net};
 use crate::policy::latent_table;
 use crate::schema::{Section, padded};
 use crate::scratch::Scratch;
-use crate::{ActionHead, Policy};
 use std::format;
 use std::string::String;
 use std::vec;
@@ -158,35 +158,25 @@ impl Policy<'_> {
         for (index, (&value, quantiser)) in obs.iter().zip(self.input_quantisers()).enumerate() {
             x[index / 2] |= u32::from(quantiser.quantise(value).0.cast_unsigned()) << (index % 2 * 16);
         }
-        let log2 = |section| std::f32::consts::LN_2 / (1u32 << image.frac_bits(section)) as f32;
+        let log2 = |net: &Net<'_>| std::f32::consts::LN_2 / (1u32 << net.frac_bits) as f32;
         let net = image.net(Section::Q);
         let q_words = words(&net, None, &x);
         let q = values(&net, &q_words, self.q_scale());
         let confidence = image.threshold().map(|_| {
             let net = image.net(Section::Confidence);
             let words = words(&net, None, trunk_of(self.shared_trunk(), &q_words, &x));
-            values(&net, &words, log2(Section::Confidence))
+            values(&net, &words, log2(&net))
         });
-        let heads = image.actions();
+        let from = image.net(Section::Decoder);
         let mut actions = Vec::with_capacity(usize::from(latents) * slots);
         let mut decoder = vec![];
         for latent in 0..latents {
-            match image.decoder() {
-                Decoder::Modulated { net, modulation, heads: records } => {
-                    let mut words = words(&net, Some(latent_table(&net, modulation, latent)), &x);
-                    if latent == decision.latent {
-                        decoder = values(&net, &words, log2(Section::Decoder));
-                    }
-                    let logits = words.last_mut().map(Vec::as_mut_slice).unwrap_or_default();
-                    emit_heads(records, heads, image.frac_bits(Section::Decoder), logits, |_, value| {
-                        actions.push(value);
-                    });
-                }
-                Decoder::Table { actions: table } => {
-                    let raw = constants(table, latent, slots).zip(self.action_signals());
-                    actions.extend(raw.map(|(value, signal)| ActionHead::denormalise(signal.head, value)));
-                }
+            let mut words = words(&from, Some(latent_table(&from, latent)), &x);
+            if latent == decision.latent && !words.is_empty() {
+                decoder = values(&from, &words, log2(&from));
             }
+            let logits = words.last_mut().map(Vec::as_mut_slice).unwrap_or_default();
+            emit(&from, image.actions(), latent, logits, |_, value| actions.push(value));
         }
         Ok(Trace {
             latent: decision.latent,

@@ -90,7 +90,7 @@ pub fn write_float(model: &FloatModel, self_test: &[f32], options: &FileOptions)
     }
     let bytes = float_image(model, &vectors, options)?;
     let image = AlignedImage::new(&bytes);
-    crate::load::load(&image, WeightKind::Float32)?;
+    crate::load::load::<true>(&image, WeightKind::Float32)?;
     #[cfg(feature = "float")]
     {
         let policy = crate::FloatPolicy::load(&image)?;

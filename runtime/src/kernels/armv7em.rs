@@ -11,73 +11,26 @@
 
 use core::arch::naked_asm;
 
-/// Units of 8 columns that one list of addresses covers.
-const LIST_UNITS: usize = 32;
-
-/// What `blocks` needs besides its pointers; the assembly reads the fields by offset.
-#[repr(C)]
-struct Plan {
-    /// One past the last word of the outputs.
-    end: *mut u32,
-    /// Multipliers and offsets of a modulated layer.
-    modulation: *const u8,
-    /// Units of 8 columns before the first multiple of 256 from the end, 0..=32.
-    units: usize,
-    /// One past the last activation that counts.
-    x_end: *const u32,
-    /// Which way a block ends: 0 hidden of 8 bits, 1 hidden of 10 bits, 2 and 3 the same modulated, 4 linear.
-    ending: usize,
-    /// Units of 4 columns of padding that are skipped in the stream, 0..=3.
-    skip: usize,
-    /// 0, or 1 for 4 columns before the units; then `units` is below 9.
-    stub: usize,
-    /// Units after the first `units`; the assembly only asks whether there are any.
-    more: usize,
-}
-
-impl Plan {
-    fn new(cols: u16, x: &[u32], end: *mut u32, modulation: *const u8, ending: usize) -> Self {
-        let quads = usize::from(cols).div_ceil(4);
-        // The stub is for narrow layers; wide ones take the last 4 columns with a whole unit, whose padding is zero.
-        let quads = if quads <= 2 * 8 + 1 { quads } else { quads.wrapping_add(1) & !1 };
-        let units = quads / 2;
-        // All lists but the first cover LIST_UNITS.
-        let later = units.saturating_sub(1) & !(LIST_UNITS - 1);
-        Self {
-            end,
-            modulation,
-            units: units.wrapping_sub(later),
-            x_end: x.as_ptr().wrapping_add(quads.wrapping_mul(2)),
-            ending,
-            skip: quads.wrapping_neg() & 3,
-            stub: quads & 1,
-            more: later,
-        }
-    }
-}
-
 /// As `dense::layer`, whose checks have passed.
+#[inline(always)]
 pub(super) fn layer(stream: &[u8], cols: u16, bits: u32, modulation: Option<&[u8]>, x: &[u32], out: &mut [u32]) {
     let words: usize = if bits > 10 { 4 } else { 2 };
-    let ends = out.as_mut_ptr_range();
+    let start = out.as_mut_ptr();
     let len = out.len() & words.wrapping_neg();
     if len == 0 {
         return;
     }
+    // Which way a block ends: 0 hidden of 8 bits, 1 hidden of 10 bits, 2 and 3 the same modulated, 4 linear.
     let hidden = usize::from(bits == 10).wrapping_add(if modulation.is_some() { 2 } else { 0 });
-    let plan = Plan::new(
-        cols,
-        x,
-        ends.start.wrapping_add(len),
-        modulation.map_or(core::ptr::null(), <[u8]>::as_ptr),
-        if bits > 10 { 4 } else { hidden },
-    );
-    // SAFETY: `dense.rs` checked that `stream` is aligned to 4 and holds a block of `cols` columns for every two words of
-    // `out`, every four where the layer is linear; that the blocks end with their multipliers, or that `modulation`, which
-    // is aligned to 4 as well, has 32 bytes for each of them; and that `x` has the words of all columns, padding included.
-    // The routine reads no further and writes the words from `ends.start` to `plan.end`, which are whole blocks, at least
-    // one.
-    unsafe { blocks(stream.as_ptr(), x.as_ptr(), ends.start, &raw const plan) }
+    let ending = if bits > 10 { 4 } else { hidden };
+    let table = modulation.map_or(core::ptr::null(), <[u8]>::as_ptr);
+    let end = start.wrapping_add(len);
+    // SAFETY: `dense.rs` checked that `stream` is aligned to 4 and holds a block of `cols` columns, at least one, for every
+    // two words of `out`, every four where the layer is linear; that the blocks end with their multipliers, or that
+    // `modulation`, which is aligned to 4 as well, has 32 bytes for each of them; and that `x` has the words of all columns,
+    // padding included. The routine reads no further and writes the words from `start` to `end`, which are whole blocks, at
+    // least one.
+    unsafe { blocks(stream.as_ptr(), x.as_ptr(), start, end, table, cols.into(), ending) }
 }
 
 /// Two words of activations (r6, r7 or r8, r9: `$x0`, `$x1`) against the weights in r10, r11, r12, lr.
@@ -196,7 +149,11 @@ macro_rules! next {
     };
 }
 
-/// A layer: blocks of `stream` against `x`, outputs from `out` to `plan.end`.
+/// A layer: blocks of `stream` against `x`, outputs from `out` to `end`.
+///
+/// A list of four addresses covers 32 units of 8 columns: `units` are those before the first multiple of 256 from the end,
+/// `more` those after. Narrow layers take 4 columns of their own (`stub`) where that avoids half a unit of padding; wide ones
+/// take them with a whole unit, whose padding is zero. `skip` is the padding behind that, in 4 columns.
 ///
 /// Registers: r0 stream, r1 activations, r2-r5 sums `[raw0, b0, raw1, b1]`, r6-r9 activations or M, r10-r12 and lr
 /// weights or P. Stack between two blocks, from sp: out, end, x, four addresses of the body, address of the ending,
@@ -204,28 +161,52 @@ macro_rules! next {
 /// five addresses and pops them as it goes, so that sp is here again when its ending runs. Nothing below sp is used.
 ///
 /// # Safety
-/// `stream` and `plan.modulation` aligned to 4; as many blocks as outputs need, for the columns of `plan`; `x` up to
-/// `plan.x_end` readable; `out` writable up to `plan.end`, at least one block and whole blocks.
+/// `stream` and `modulation` aligned to 4; as many blocks as outputs need, for `cols` columns, 1 to 65535; `x` readable for
+/// the columns rounded up to 16; `out` writable up to `end`, at least one block and whole blocks; `ending` below 5.
 #[unsafe(naked)]
-unsafe extern "C" fn blocks(stream: *const u8, x: *const u32, out: *mut u32, plan: *const Plan) {
+unsafe extern "C" fn blocks(
+    stream: *const u8,
+    x: *const u32,
+    out: *mut u32,
+    end: *mut u32,
+    modulation: *const u8,
+    cols: usize,
+    ending: usize,
+) {
     naked_asm!(
-        // Frame and saved registers.
+        // Frame and saved registers; the last three arguments lie above them.
         "push.w {{r4-r11, lr}}",
         "sub sp, #48",
-        "str r2, [sp]",
-        "ldrd r4, r5, [r3]",      // end, modulation
-        "ldrd r6, r12, [r3, #8]", // units, x_end
-        "str r4, [sp, #4]",
+        "stmia.w sp, {{r2, r3}}",
         "str r1, [sp, #8]",
-        "str r5, [sp, #32]",
-        "str.w r12, [sp, #40]",
+        "ldr r2, [sp, #84]", // modulation
+        "ldr r4, [sp, #88]", // cols
+        "ldr r7, [sp, #92]", // ending
+        "str r2, [sp, #32]",
+        // 4 columns each (r4), in pairs where they are more than 17.
+        "adds r4, #3",
+        "lsrs r4, r4, #2",
+        "cmp r4, #17",
+        "itt hi",
+        "addhi r4, #1",
+        "bichi r4, r4, #1",
+        "add.w r12, r1, r4, lsl #3",
+        "str.w r12, [sp, #40]", // end of x
+        // Units (r6) and more (r5).
+        "lsrs r6, r4, #1",
+        "subs r5, r6, #1",
+        "it mi",
+        "movmi r5, #0",
+        "bic r5, r5, #31",
+        "subs r6, r6, r5",
         // The ending: its address less 2 bytes for each 4 columns to skip.
-        "ldrd r4, r5, [r3, #16]", // ending, skip
+        "rsbs r3, r4, #0",
+        "and r3, r3, #3",
+        "and r4, r4, #1", // stub
         "adr r2, 20f",
-        "ldr.w r12, [r2, r4, lsl #2]",
+        "ldr.w r12, [r2, r7, lsl #2]",
         "add r12, r2, r12",
-        "sub r12, r12, r5, lsl #1",
-        "ldrd r4, r5, [r3, #24]", // stub, more
+        "sub r12, r12, r3, lsl #1",
         "str.w r12, [sp, #36]",
         // Four entries of the body, r8 to r11, the last ones first.
         "movs r3, #108",
@@ -309,25 +290,24 @@ unsafe extern "C" fn blocks(stream: *const u8, x: *const u32, out: *mut u32, pla
         ".word 23f - 20b + 1",
         ".word 24f - 20b + 1",
         ".word 25f - 20b + 1",
-        skips!("21"),
-        "ldmia.w r0!, {{r6-r12, lr}}",
-        requantise!(),
-        pack!("8"),
-        next!("strd r2, r3, [r1], #8"),
-        skips!("22"),
-        "ldmia.w r0!, {{r6-r12, lr}}",
-        requantise!(),
-        pack!("10"),
-        next!("strd r2, r3, [r1], #8"),
         skips!("23"),
         from_table!(),
+        "b 31f",
+        skips!("21"),
+        "ldmia.w r0!, {{r6-r12, lr}}",
+        "31:",
         requantise!(),
         pack!("8"),
-        next!("strd r2, r3, [r1], #8"),
+        "b 33f",
         skips!("24"),
         from_table!(),
+        "b 32f",
+        skips!("22"),
+        "ldmia.w r0!, {{r6-r12, lr}}",
+        "32:",
         requantise!(),
         pack!("10"),
+        "33:",
         next!("strd r2, r3, [r1], #8"),
         skips!("25"),
         "ldmia.w r0!, {{r6-r12, lr}}",
@@ -341,69 +321,43 @@ unsafe extern "C" fn blocks(stream: *const u8, x: *const u32, out: *mut u32, pla
 
 /// Replaces logits (`i32` as words) by `2^-(top - logit)` as Q30; see [`exp2_neg`](super::exp2_neg).
 pub fn exp2_below(logits: &mut [u32], top: i32, frac_bits: u32) {
-    // A product with 2^(32 - F) splits a number into whole part and fraction; there is no such factor for F = 0.
-    let factor = 1u32.wrapping_shl(32u32.wrapping_sub(frac_bits));
-    if frac_bits == 0 {
-        super::exp2::whole(logits, top);
-        return;
-    }
-    let (pairs, last) = logits.as_chunks_mut::<2>();
-    if !pairs.is_empty() {
-        let ends = pairs.as_flattened_mut().as_mut_ptr_range();
-        // SAFETY: the routine reads and writes the words of the slice, which are at least two and even in number.
-        unsafe { exp2_words(ends.start, ends.end, top, factor) }
-    }
-    if let [last] = last {
-        let mut pair = [*last; 2];
-        let ends = pair.as_mut_ptr_range();
-        // SAFETY: as above, two words.
-        unsafe { exp2_words(ends.start, ends.end, top, factor) }
-        [*last, _] = pair;
-    }
+    // SAFETY: the routine reads and writes the words of the slice.
+    unsafe { exp2_words(logits.as_mut_ptr(), logits.len(), top, frac_bits) }
 }
 
-/// The exponential of the word at `$at` behind r0, written in its place.
-macro_rules! exp2 {
-    ($at:literal) => {
-        concat!(
-            "ldr r4, [r0, #",
-            $at,
-            "]\n",
-            "sub r4, r2, r4\n",
-            "umull r4, r11, r4, r3\n",
-            "lsrs r4, r4, #1\n",
-            "usat r11, #5, r11\n",
-            "smmlar r12, r5, r4, r6\n",
-            "smmlar r12, r12, r4, r7\n",
-            "smmlar r12, r12, r4, r8\n",
-            "smmlar r12, r12, r4, r9\n",
-            "smmlar r12, r12, r4, r10\n",
-            "lsr r12, r12, r11\n",
-            "str r12, [r0, #",
-            $at,
-            "]\n",
-        )
-    };
-}
-
-/// The words from `word` to `end`: the fraction (r4, Q31) goes into the polynomial, the whole part (r11), at most 31,
-/// shifts the result.
+/// `len` words from `word` on. A product of twice the difference with `2^(31 - F)` splits it into the whole part (r11) and
+/// the fraction (r4, then Q31); the fraction goes into the polynomial, the whole part, at most 31, shifts the result.
 ///
 /// # Safety
-/// The words must be readable and writable, at least two and even in number.
+/// The words must be readable and writable.
 #[unsafe(naked)]
-unsafe extern "C" fn exp2_words(word: *mut u32, end: *mut u32, top: i32, factor: u32) {
+unsafe extern "C" fn exp2_words(word: *mut u32, len: usize, top: i32, frac_bits: u32) {
     naked_asm!(
         "push.w {{r4-r11, lr}}",
+        "add.w r1, r0, r1, lsl #2",
+        "lsls r2, r2, #1",
+        "rsb r3, r3, #31",
+        "movs r4, #1",
+        "lsl.w r3, r4, r3",
         "adr r5, 2f",
         "ldmia.w r5, {{r5-r10}}",
         "1:",
-        exp2!("0"),
-        exp2!("4"),
-        "adds r0, #8",
         "cmp r0, r1",
-        "bne 1b",
-        "pop.w {{r4-r11, pc}}",
+        "it eq",
+        "popeq.w {{r4-r11, pc}}",
+        "ldr r4, [r0]",
+        "sub r4, r2, r4, lsl #1",
+        "umull r4, r11, r4, r3",
+        "lsrs r4, r4, #1",
+        "usat r11, #5, r11",
+        "smmlar r12, r5, r4, r6",
+        "smmlar r12, r12, r4, r7",
+        "smmlar r12, r12, r4, r8",
+        "smmlar r12, r12, r4, r9",
+        "smmlar r12, r12, r4, r10",
+        "lsr r12, r12, r11",
+        "str r12, [r0], #4",
+        "b 1b",
         ".balign 4",
         "2:",
         ".word {c5}, {c4}, {c3}, {c2}, {c1}, {c0}",

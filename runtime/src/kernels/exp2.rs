@@ -26,19 +26,10 @@ pub fn exp2_neg(x: u32, frac_bits: u32) -> u32 {
     r.cast_unsigned().wrapping_shr(whole)
 }
 
-/// `exp2_below` for logits without fraction bits.
-#[cfg(any(test, armv7em))]
-#[inline(never)]
-pub(super) fn whole(logits: &mut [u32], top: i32) {
-    for word in logits {
-        *word = ONE >> top.wrapping_sub(word.cast_signed()).cast_unsigned().min(31);
-    }
-}
-
 #[cfg(test)]
 #[expect(clippy::float_arithmetic, reason = "the oracle is exp2 in f64")]
 mod tests {
-    use super::{ONE, exp2_neg, whole};
+    use super::{ONE, exp2_neg};
     use proptest::prelude::*;
 
     #[test]
@@ -49,15 +40,6 @@ mod tests {
         assert_eq!(exp2_neg(31 << 16, 16), 0);
         assert_eq!(exp2_neg(u32::MAX, 0), 0);
         assert_eq!(exp2_neg(3, 0), ONE / 8);
-    }
-
-    #[test]
-    fn without_fraction_bits_it_is_a_shift() {
-        for x in [0, 1, 2, 30, 31, 32, 1 << 30] {
-            let mut logits = [7i32.wrapping_sub(x).cast_unsigned()];
-            whole(&mut logits, 7);
-            assert_eq!(logits, [exp2_neg(x.cast_unsigned(), 0)]);
-        }
     }
 
     proptest! {

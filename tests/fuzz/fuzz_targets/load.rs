@@ -28,9 +28,32 @@ fn repaired<T>(image: &mut AlignedImage, load: impl Fn(&[u8]) -> Result<T, LoadE
     false
 }
 
+/// The loader that trusts the exporter takes more; a step must stay within the ranges of the file all the same.
+fn trusted(image: &AlignedImage) {
+    let Ok(policy) = Policy::load_trusted(image) else { return };
+    let spec = policy.spec();
+    let mut memory = vec![0x5A5A_5A5A; spec.scratch_words];
+    let mut scratch = Scratch::new(&mut memory);
+    let _ = policy.self_test(&mut scratch);
+    let mut action = vec![f32::NAN; usize::from(spec.action_dim)];
+    let obs = vec![1.0; usize::from(spec.obs_dim)];
+    let decision = policy.act(&obs, &mut scratch, &mut action).expect("a finite observation");
+    assert!(decision.latent < spec.num_latents);
+    for (value, signal) in action.iter().zip(policy.action_signals()) {
+        match signal.head {
+            gadm_runtime::ActionHead::Continuous { lo, hi } => assert!((lo..=hi).contains(value)),
+            gadm_runtime::ActionHead::Discrete { n } => assert!(*value >= 0.0 && *value < f32::from(n.max(1))),
+            gadm_runtime::ActionHead::Binary => assert!(*value == 0.0 || *value == 1.0),
+        }
+    }
+}
+
 fuzz_target!(|data: &[u8]| {
     let mut image = AlignedImage::new(data);
     let _ = Policy::load(&image);
+    let mut resealed = AlignedImage::new(data);
+    reseal(resealed.as_bytes_mut());
+    trusted(&resealed);
     if repaired(&mut image, |bytes| Policy::load(bytes).map(|_| ())) {
         let policy = Policy::load(&image).expect("loaded a moment ago");
         let spec = policy.spec();

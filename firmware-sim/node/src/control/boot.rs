@@ -19,7 +19,7 @@ use crate::watch::{CrcWatch, Restarts};
 /// # Errors
 /// Why it cannot.
 pub(super) fn load<'p>(image: &'p [u8], config: &NodeConfig) -> Result<(Policy<'p>, Layout), (Fault, Reason)> {
-    let policy = Policy::load(image).map_err(|error| (Fault::PolicyLoad, Reason::from(error)))?;
+    let policy = crate::policy::load(image).map_err(|error| (Fault::PolicyLoad, Reason::from(error)))?;
     let ranges = policy.observation_signals().map(|s| (s.lo, s.hi));
     let heads = policy.action_signals().map(|s| s.head);
     let layout = Layout::new(config.profile, config.node, policy.interface_hash(), ranges, heads)

@@ -1,4 +1,4 @@
-//! What `footprint` is without the runtime.
+//! What `footprint` is without the runtime: the caller's data and nothing that uses it.
 #![no_std]
 #![no_main]
 
@@ -12,7 +12,11 @@ fn panic(_: &core::panic::PanicInfo) -> ! {
 
 #[entry]
 fn main() -> ! {
+    let image: &'static [u8] = black_box(&[]);
+    black_box(image.len());
     black_box(&mut [0u32; 512]);
+    black_box(black_box(&[0.0f32; 11]));
+    black_box(black_box(&mut [0.0f32; 4]));
     loop {
         cortex_m::asm::nop();
     }

@@ -81,6 +81,8 @@ fn step(counter: &Counter, case: &Case) {
     if case.image.len() < 100_000 {
         let load = counter.count(|| _ = black_box(Policy::load(black_box(case.image))));
         hprintln!("load.{} {}", case.name, load);
+        let load = counter.count(|| _ = black_box(Policy::load_trusted(black_box(case.image))));
+        hprintln!("load_trusted.{} {}", case.name, load);
     }
 }
 

@@ -121,6 +121,9 @@ fn steps(case: &Case) {
         digest.step(&decision, action);
         row += 1;
     }
+    let trusted = Policy::load_trusted(case.image).expect("a proven file");
+    assert_eq!(trusted.spec(), policy.spec());
+    trusted.self_test(&mut scratch).expect("the file's own vectors");
     assert_eq!(digest.value(), case.digest, "policy {}: {row} steps differ from the host's", case.name);
     hprintln!("ok: policy {}: self-test, and {} steps equal to the host's", case.name, row);
 }

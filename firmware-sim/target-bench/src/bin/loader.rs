@@ -15,6 +15,8 @@ fn panic(_: &core::panic::PanicInfo) -> ! {
 fn main() -> ! {
     let image: &'static [u8] = black_box(&[]);
     black_box(&mut [0u32; 512]);
+    black_box(black_box(&[0.0f32; 11]));
+    black_box(black_box(&mut [0.0f32; 4]));
     black_box(black_box(Policy::load(image)).is_ok());
     loop {
         cortex_m::asm::nop();
