@@ -308,7 +308,11 @@ fn put(words: &mut [u32], index: usize, value: i16) {
 }
 
 fn quantiser(max: i16, record: [u8; INPUT_LEN]) -> InputQuantiser {
-    InputQuantiser { offset: f32_at(&record, 0).unwrap_or_default(), scale: f32_at(&record, 4).unwrap_or_default(), max }
+    InputQuantiser {
+        offset: f32_at(&record, 0).unwrap_or_default(),
+        scale: f32_at(&record, 4).unwrap_or_default(),
+        max,
+    }
 }
 
 /// Where the action of a step goes, or what it must be.
