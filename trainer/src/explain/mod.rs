@@ -9,7 +9,7 @@ mod regions;
 
 pub use layers::{LayerError, LayerErrors};
 pub use page::page;
-pub use regions::{Region, plane, regions};
+pub use regions::{Grid, Region, plane, regions};
 
 use std::path::Path;
 

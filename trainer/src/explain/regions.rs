@@ -22,11 +22,6 @@ pub struct Region {
     pub codes: Vec<u32>,
 }
 
-/// Normalised value of point `i` of `points`: the middle of its cell.
-fn value(i: usize, points: usize) -> f32 {
-    (2 * i + 1) as f32 / points as f32 - 1.0
-}
-
 /// Encodes slices through the action that was taken: of its first two continuous slots, for every type of a discrete slot those
 /// that the type uses. Empty for an action space without a continuous slot.
 pub fn regions(model: &mut ActionModel, spec: &EnvSpec, shown: &Shown) -> Vec<Region> {
@@ -51,7 +46,7 @@ pub fn regions(model: &mut ActionModel, spec: &EnvSpec, shown: &Shown) -> Vec<Re
             };
             let mut used = continuous.iter().enumerate().filter(|(place, _)| uses(*place)).map(|(_, slot)| *slot);
             let axes = (used.next()?, used.next());
-            Some(Region { name, axes, codes: plane(model, &shown.obs, &action, axes, POINTS) })
+            Some(Region { name, axes, codes: plane(model, &shown.obs, &action, axes, &Grid::whole(POINTS)) })
         })
         .collect()
 }
@@ -60,28 +55,62 @@ fn slots(spec: &EnvSpec, wanted: impl Fn(ActionHead) -> bool) -> Vec<usize> {
     spec.actions.iter().enumerate().filter(|(_, slot)| wanted(slot.head)).map(|(i, _)| i).collect()
 }
 
-/// Latents of a slice through `action` (normalised) in the state `obs`: `points` values of the first slot in `axes` in every row, and
-/// as many rows where there is a second one, from below.
+/// Points of a slice of the action space, normalised: the middles of cells between the ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grid {
+    /// Points along each axis.
+    pub points: usize,
+    /// Ends of the first axis and of the second one.
+    pub ends: [[f32; 2]; 2],
+}
+
+impl Grid {
+    /// All of both axes.
+    pub fn whole(points: usize) -> Self {
+        Self { points, ends: [[-1.0, 1.0]; 2] }
+    }
+
+    fn value(&self, axis: usize, i: usize) -> f32 {
+        let [low, high] = self.ends[axis];
+        low + (high - low) * (2 * i + 1) as f32 / (2 * self.points) as f32
+    }
+}
+
+/// Latents of a slice through `action` (normalised) in the state `obs`: the first slot in `axes` along every row, the second one, if
+/// there is one, from row to row, from below.
 pub fn plane(
     model: &mut ActionModel,
     obs: &[f32],
     action: &[f32],
     (first, second): (usize, Option<usize>),
-    points: usize,
+    grid: &Grid,
 ) -> Vec<u32> {
-    let rows = if second.is_some() { points } else { 1 };
-    let mut actions = Vec::with_capacity(rows * points * action.len());
+    let rows = if second.is_some() { grid.points } else { 1 };
+    let mut actions = Vec::with_capacity(rows * grid.points * action.len());
     for row in 0..rows {
-        for column in 0..points {
+        for column in 0..grid.points {
             let at = actions.len();
             actions.extend_from_slice(action);
-            actions[at + first] = value(column, points);
+            actions[at + first] = grid.value(0, column);
             if let Some(second) = second {
-                actions[at + second] = value(row, points);
+                actions[at + second] = grid.value(1, row);
             }
         }
     }
     let mut codes = Vec::new();
-    model.encode(&obs.repeat(rows * points), &actions, &mut codes);
+    model.encode(&obs.repeat(rows * grid.points), &actions, &mut codes);
     codes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Grid;
+
+    #[test]
+    fn points_are_the_middles_of_cells_between_the_ends() {
+        let grid = Grid { points: 4, ends: [[-1.0, 1.0], [0.0, 0.5]] };
+        assert_eq!([0, 3].map(|i| grid.value(0, i)), [-0.75, 0.75]);
+        assert_eq!([0, 3].map(|i| grid.value(1, i)), [0.0625, 0.4375]);
+        assert_eq!(Grid::whole(2).value(1, 0), -0.5);
+    }
 }

@@ -129,7 +129,7 @@ fn toy_runs_share_their_action_model_and_differ_in_their_confidence() {
     let apart = |row: usize| rows[row][10].as_f64().unwrap();
     assert!(apart(0) < 0.1 && apart(0) < apart(1), "cross-entropy finds the shares: {} {}", apart(0), apart(1));
     let svg = read(&plan, ".svg");
-    for text in ["latent of every action", "γ_f = 50", "share of the data", "1/K", "<polygon"] {
+    for text in ["latent of every action", "Around the data", "γ_f = 50", "share of the data", "1/K", "<polygon"] {
         assert!(svg.contains(text), "{text}");
     }
     // Another state of the same runs, which are not trained again.

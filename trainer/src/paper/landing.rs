@@ -11,7 +11,7 @@ use super::plan::{Plan, PlannedRun};
 use super::table::Results;
 use crate::algo::Actor as _;
 use crate::error::TrainError;
-use crate::explain::plane;
+use crate::explain::{Grid, plane};
 use crate::plot::{Map, Mark, Paint, PlotError, PlotOptions, Shape, map, picture, sheet};
 use crate::runner::agent::Agent;
 use crate::runner::checkpoint::{Networks, load_trained};
@@ -116,7 +116,7 @@ fn shortly_before<'a>(obs: impl ExactSizeIterator<Item = &'a [f32]>) -> usize {
 
 fn latents(agent: &mut Agent, obs: &[f32]) -> (Vec<u32>, Vec<Latent>) {
     let k = agent.model.num_latents();
-    let regions = plane(&mut agent.model, obs, &[0.0; 2], (0, Some(1)), CELLS);
+    let regions = plane(&mut agent.model, obs, &[0.0; 2], (0, Some(1)), &Grid::whole(CELLS));
     let (mut actions, all) = (vec![0.0; 2 * k], (0..k as u32).collect::<Vec<_>>());
     agent.model.decode(&obs.repeat(k), &all, &mut actions, true);
     let mut chosen = Vec::new();
@@ -153,12 +153,12 @@ pub fn figure(plan: &Plan, landing: &Landing) -> Result<String, PlotError> {
         marks: marks.collect(),
         lines: vec![vec![(0.0, -1.0), (0.0, 1.0)], across(-0.5), across(0.5)],
     };
-    let plane = map(&plane, &PlotOptions::new("Latent of every action in that state").with_size(540, 600))?;
     let id = plan.figure.id;
-    let Some(scene) = &landing.scene else { return Ok(plane) };
-    let heading = format!("{id}: step {} of {}", landing.step.0, landing.step.1);
     let lines = lines(landing);
     let height = 600.max(420 + 21 * lines.len() as u32);
+    let plane = map(&plane, &PlotOptions::new("Latent of every action in that state").with_size(540, height))?;
+    let Some(scene) = &landing.scene else { return Ok(plane) };
+    let heading = format!("{id}: step {} of {}", landing.step.0, landing.step.1);
     let frame = picture(&framed(scene), &lines, &PlotOptions::new(heading).with_size(FRAME_PX + 40, height))?;
     sheet(&[frame, plane], 2, &format!("{id}: {}", plan.figure.title))
 }

@@ -15,7 +15,7 @@ use super::columns::Columns;
 use super::plan::{Plan, PlannedRun};
 use super::state::{State, inspect};
 use crate::error::TrainError;
-use crate::explain::plane;
+use crate::explain::{Grid, plane};
 use crate::plot::{GroupedBars, Map, Mark, Paint, PlotError, PlotOptions, Shape, grouped_bars, map, sheet};
 use crate::runner::checkpoint::{Networks, load_trained, save_pairs};
 use crate::runner::progress::duration;
@@ -24,6 +24,16 @@ use crate::runner::progress::duration;
 const CELLS: usize = 160;
 /// States of ToyEnv.
 const STATES: usize = 4;
+/// What the window around a square shows beyond it at each side, normalised.
+const MARGIN: f64 = 0.0625;
+
+/// Latents of the action plane in a state, `CELLS x CELLS`, row by row from below.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Regions {
+    whole: Vec<u32>,
+    /// Of the window around the state's square.
+    near: Vec<u32>,
+}
 
 /// Writes the set of actions that a run starts from.
 ///
@@ -58,12 +68,12 @@ pub struct Learned {
 }
 
 /// State `state` (0 to 3) as each run of `plan` that is done sees it, and the latents of the action plane as the first of them has
-/// them, row by row from below.
+/// them.
 ///
 /// # Errors
 /// [`PaperError::Train`] for networks or a set that cannot be read.
-pub fn learned(plan: &Plan, state: usize) -> Result<(Vec<Learned>, Vec<u32>), PaperError> {
-    let (mut all, mut regions) = (Vec::new(), Vec::new());
+pub fn learned(plan: &Plan, state: usize) -> Result<(Vec<Learned>, Regions), PaperError> {
+    let (mut all, mut regions) = (Vec::new(), Regions::default());
     for run in plan.runs.iter().filter(|run| run.shown) {
         let status = inspect(run);
         if status.state != State::Done {
@@ -78,7 +88,7 @@ pub fn learned(plan: &Plan, state: usize) -> Result<(Vec<Learned>, Vec<u32>), Pa
     Ok((all, regions))
 }
 
-fn of_run(run: &PlannedRun, state: usize) -> Result<(Learned, Vec<u32>), PaperError> {
+fn of_run(run: &PlannedRun, state: usize) -> Result<(Learned, Regions), PaperError> {
     let mut trained = load_trained(&run.dir, Networks::Last)?;
     let focal_gamma = trained.config.confidence.focal_gamma;
     let agent = trained.agent()?;
@@ -108,8 +118,16 @@ fn of_run(run: &PlannedRun, state: usize) -> Result<(Learned, Vec<u32>), PaperEr
         wall_s: 0.0,
         commit: None,
     };
-    let corner = [0.0; 2];
-    Ok((learned, plane(&mut agent.model, &obs, &corner, (0, Some(1)), CELLS)))
+    let mut codes_of = |ends: [[f64; 2]; 2]| {
+        let grid = Grid { points: CELLS, ends: ends.map(|axis| axis.map(|end| end as f32)) };
+        plane(&mut agent.model, &obs, &[0.0; 2], (0, Some(1)), &grid)
+    };
+    Ok((learned, Regions { whole: codes_of([[-1.0, 1.0]; 2]), near: codes_of(around(state)) }))
+}
+
+/// Ends of the window around a state's square, along x and y, normalised.
+fn around(state: usize) -> [[f64; 2]; 2] {
+    toy_square(state).map(|[low, high]| [low - MARGIN, high + MARGIN])
 }
 
 /// Actions of a state in the set (appendix A.7).
@@ -139,28 +157,37 @@ fn fixed_point(q: &[f64], gamma: f64) -> Vec<f64> {
     p
 }
 
-/// The figure: the action plane with the runs' first seed at the left, confidence by exponent at the right.
+/// The figure, of the runs' first seed: the action plane, the window around the square of the data, and confidence by exponent.
 ///
 /// # Errors
 /// [`PlotError::NoData`] without a run.
-pub fn figure(plan: &Plan, state: usize, all: &[Learned], regions: &[u32]) -> Result<String, PlotError> {
+pub fn figure(plan: &Plan, state: usize, all: &[Learned], regions: &Regions) -> Result<String, PlotError> {
     let Some(first) = all.first() else { return Err(PlotError::NoData("no run is done")) };
     let [[left, right], [low, high]] = toy_square(state).map(|ends| ends.map(native));
-    let marks = first.decoded.iter().enumerate();
-    let left_part = Map {
+    let plane = |codes: &[u32], ends: [[f64; 2]; 2], named: bool| Map {
         x_name: "x".to_owned(),
         y_name: "y".to_owned(),
-        x: 0.0..4.0,
-        y: 0.0..4.0,
+        x: native(ends[0][0])..native(ends[0][1]),
+        y: native(ends[1][0])..native(ends[1][1]),
         columns: CELLS,
-        values: regions.iter().map(|&code| f64::from(code)).collect(),
+        values: codes.iter().map(|&code| f64::from(code)).collect(),
         paint: Paint::Index { name: "latent".to_owned() },
-        marks: marks.map(|(k, &[x, y])| Mark { at: (x, y), text: k.to_string(), shape: Shape::Star }).collect(),
+        marks: (first.decoded.iter().enumerate())
+            .filter(|(_, at)| at.iter().zip(ends).all(|(at, [low, high])| (native(low)..=native(high)).contains(at)))
+            .map(|(k, &[x, y])| Mark {
+                at: (x, y),
+                text: if named { k.to_string() } else { String::new() },
+                shape: if named { Shape::Star } else { Shape::Dot },
+            })
+            .collect(),
         lines: vec![vec![(left, low), (right, low), (right, high), (left, high), (left, low)]],
     };
     let id = plan.figure.id;
     let heading = format!("{id}: state {}, latent of every action", state + 1);
-    let left_part = map(&left_part, &PlotOptions::new(heading).with_size(470, 520))?;
+    let whole = plane(&regions.whole, [[-1.0, 1.0]; 2], false);
+    let whole = map(&whole, &PlotOptions::new(heading).with_size(440, 500))?;
+    let near = plane(&regions.near, around(state), true);
+    let near = map(&near, &PlotOptions::new("Around the data").with_size(440, 500))?;
     let of_seed: Vec<&Learned> = all.iter().filter(|learned| learned.seed == first.seed).collect();
     let series = of_seed.iter().map(|own| (format!("γ_f = {}", own.focal_gamma), own.confidence.clone())).collect();
     let highest = of_seed.iter().flat_map(|own| &own.confidence).chain(&first.shares).copied().fold(0.0, f64::max);
@@ -171,8 +198,8 @@ pub fn figure(plan: &Plan, state: usize, all: &[Learned], regions: &[u32]) -> Re
         reference: ("share of the data".to_owned(), first.shares.clone()),
         level: ("1/K".to_owned(), 1.0 / first.shares.len() as f64),
     };
-    let right_part = grouped_bars(&bars, &PlotOptions::new("Confidence of the latents").with_size(560, 520))?;
-    sheet(&[left_part, right_part], 2, &format!("{id}: {}", plan.figure.title))
+    let right_part = grouped_bars(&bars, &PlotOptions::new("Confidence in each latent").with_size(560, 500))?;
+    sheet(&[whole, near, right_part], 3, &format!("{id}: {}", plan.figure.title))
 }
 
 /// The numbers, a row for each run.
