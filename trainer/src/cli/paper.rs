@@ -21,17 +21,19 @@ use super::{ENVIRONMENT_LACKING, print, print_json, say, stop_on_interrupt};
 
 const EXAMPLES: &str = "\
 Examples:
-  gadm paper demo                          try it: small networks on Pendulum, a few minutes
-  gadm paper fig4 --seeds 5 --jobs 2       what is missing of figure 4, then figure and table
+  gadm paper demo                          try it: small networks on Pendulum
+  gadm paper fig4 --seeds 5 --jobs 2       what is missing of figure 4, then the figure
   gadm paper fig9 --only hopper            its runs on Hopper alone
-  gadm paper fig12                         latents of ToyEnv, trained in minutes (fig13: another state)
+  gadm paper fig12                         latents of ToyEnv; fig13: in another state
   gadm paper fig4 --draw                   figure and table of what is there
   gadm paper fig4 --submit hq              the same runs as a job array of HyperQueue
   gadm paper status                        what is done, and what the rest would cost
 
-Runs lie in DIR/runs/ENV/VARIANT-seedN and are shared by figures; FIG.svg, FIG.md, FIG.json and
-tables as CSV in DIR; what the runs say in DIR/logs. Ctrl-C writes checkpoints and stops; the same
-command continues. A run that fails does not stop the others: exit code 1 at the end then.";
+Runs lie in DIR/runs/ENV/VARIANT-seedN and are shared by figures; FIG.svg, FIG.md,
+FIG.json and tables as CSV in DIR; what the runs say in DIR/logs. Ctrl-C writes
+checkpoints and stops; the same command continues. A run that fails does not stop the
+others: exit code 1 at the end then. fig14 and fig15 also fly 20 episodes of every
+snapshot, once.";
 
 const STATUS_EXAMPLES: &str = "\
 Examples:
