@@ -90,7 +90,7 @@ fn load(id: &str, file: ModelFile) -> Result<Arc<MjModel>, EnvError> {
     Ok(model)
 }
 
-/// A model of one kinematic tree is one island: looking for others at every step costs 3 to 10 % and changes no bit.
+/// A model of one kinematic tree is one island: looking for others at every step costs time and changes no bit.
 fn skip_islands(model: &mut MjModel) {
     if model.ntree() == 1 {
         model.opt_mut().disableflags |= MjtDisableBit::mjDSBL_ISLAND as i32;
