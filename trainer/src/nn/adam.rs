@@ -21,11 +21,24 @@ pub struct AdamConfig {
     pub beta2: f64,
     /// Added to the root of the second moment.
     pub epsilon: f64,
+    /// Linear decay of the step size; without, it stays. Not in a file that names none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub decay: Option<Decay>,
+}
+
+/// A step size that falls linearly with the steps taken, and stays at its end.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Decay {
+    /// Step size at the end.
+    pub to: f64,
+    /// Steps until then, of this optimiser: the updates of its network.
+    pub updates: u64,
 }
 
 impl Default for AdamConfig {
     fn default() -> Self {
-        Self { learning_rate: 3e-4, grad_clip: 0.5, beta1: 0.9, beta2: 0.999, epsilon: 1e-8 }
+        Self { learning_rate: 3e-4, grad_clip: 0.5, beta1: 0.9, beta2: 0.999, epsilon: 1e-8, decay: None }
     }
 }
 
@@ -47,7 +60,22 @@ impl AdamConfig {
                 return Err(TrainError::config(&format!("{key}.{name}"), expected, value));
             }
         }
-        Ok(())
+        match self.decay {
+            Some(Decay { to, .. }) if !(to >= 0.0 && to <= self.learning_rate) => Err(TrainError::config(
+                &format!("{key}.decay.to"),
+                &format!("0 to {key}.learning_rate = {}", self.learning_rate),
+                to,
+            )),
+            Some(Decay { updates: 0, .. }) => Err(TrainError::config(&format!("{key}.decay.updates"), "at least 1", 0)),
+            _ => Ok(()),
+        }
+    }
+
+    /// Step size after `steps` steps.
+    pub fn learning_rate_at(&self, steps: u64) -> f64 {
+        self.decay.map_or(self.learning_rate, |Decay { to, updates }| {
+            self.learning_rate + (to - self.learning_rate) * (steps as f64 / updates as f64).min(1.0)
+        })
     }
 }
 
@@ -87,6 +115,7 @@ impl Adam {
         );
         let norm = (a + b).sqrt() as f32;
         let clip = self.config.grad_clip as f32;
+        let rate = self.config.learning_rate_at(self.steps);
         self.steps += 1;
         let t = self.steps.min(1 << 30) as i32;
         let c1 = 1.0 - self.config.beta1.powi(t);
@@ -95,7 +124,7 @@ impl Adam {
             scale: if clip > 0.0 { (clip / (norm + 1e-6)).min(1.0) } else { 1.0 },
             b1: self.config.beta1 as f32,
             b2: self.config.beta2 as f32,
-            rate: (self.config.learning_rate / c1) as f32,
+            rate: (rate / c1) as f32,
             root: (1.0 / c2.sqrt()) as f32,
             eps: self.config.epsilon as f32,
         };
@@ -152,7 +181,7 @@ fn add_and_square<'a>(sum: &mut [f32], more: impl Iterator<Item = &'a [f32]>) ->
 
 #[cfg(test)]
 mod tests {
-    use super::{Adam, AdamConfig};
+    use super::{Adam, AdamConfig, Decay};
 
     #[test]
     fn first_step_moves_by_the_learning_rate_against_the_sign() {
@@ -161,6 +190,33 @@ mod tests {
         adam.step(&mut p, &mut [&mut [4.0, -0.5]]);
         assert!((p[0] - 0.9).abs() < 1e-6 && (p[1] - 1.1).abs() < 1e-6);
         assert_eq!(p[2], 7.0, "buffers behind the trainable part stay");
+    }
+
+    #[test]
+    fn the_learning_rate_falls_linearly_and_then_stays() {
+        let decay = Some(Decay { to: 0.02, updates: 4 });
+        let config = AdamConfig { learning_rate: 0.1, grad_clip: 0.0, epsilon: 1e-12, decay, ..Default::default() };
+        let mut adam = Adam::new(config, 1);
+        let mut p = [0.0];
+        // A gradient that never changes moves the parameter by the learning rate itself.
+        for rate in [0.1, 0.08, 0.06, 0.04, 0.02, 0.02, 0.02] {
+            let before = p[0];
+            adam.step(&mut p, &mut [&mut [3.0]]);
+            assert!((before - p[0] - rate).abs() < 1e-6, "step {}: {} instead of {rate}", adam.steps, before - p[0]);
+        }
+    }
+
+    #[test]
+    fn a_decay_that_cannot_be_is_refused_by_its_key() {
+        let with =
+            |to, updates| AdamConfig { decay: Some(Decay { to, updates }), ..Default::default() }.validate("q.adam");
+        assert!(with(3e-5, 1).is_ok() && with(0.0, 1).is_ok());
+        for (to, updates, key) in
+            [(-1e-9, 1, "decay.to"), (f64::NAN, 1, "decay.to"), (1e-3, 1, "decay.to"), (1e-5, 0, "decay.updates")]
+        {
+            let error = with(to, updates).unwrap_err().to_string();
+            assert!(error.contains(&format!("q.adam.{key}")), "{error}");
+        }
     }
 
     #[test]

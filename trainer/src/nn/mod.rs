@@ -13,7 +13,7 @@ pub mod params;
 pub mod stack;
 pub mod vector;
 
-pub use adam::{Adam, AdamConfig};
+pub use adam::{Adam, AdamConfig, Decay};
 pub use device::Engine;
 pub use graph::{DenseParams, Graph, Packed, Slot, Weights, Workspace, argmax, declare_dense};
 pub use net::Net;

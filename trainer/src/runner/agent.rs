@@ -6,6 +6,7 @@ use crate::algo::dqn::{Dqn, DqnMetrics, masked_argmax};
 use crate::config::TrainConfig;
 use crate::discretizer::gadm::{ActionModel, Confidence, Trunk};
 use crate::error::TrainError;
+use crate::nn::Params;
 use crate::replay::RlBatch;
 use crate::seed::SeedTree;
 use gadm_envs::EnvSpec;
@@ -66,6 +67,20 @@ impl Agent {
             allowed: Vec::new(),
             mask_statistics: (0, 0, 0),
         })
+    }
+
+    /// Parameters of all networks by name, the confidence predictor's last.
+    pub fn networks(&self) -> Vec<(&'static str, &Params)> {
+        let mut all = vec![("action-model", &self.model.params), ("q", &self.dqn.params)];
+        all.extend(self.confidence.as_ref().map(|c| ("confidence", &c.params)));
+        all
+    }
+
+    /// The same, to be changed.
+    pub fn networks_mut(&mut self) -> Vec<(&'static str, &mut Params)> {
+        let mut all = vec![("action-model", &mut self.model.params), ("q", &mut self.dqn.params)];
+        all.extend(self.confidence.as_mut().map(|c| ("confidence", &mut c.params)));
+        all
     }
 
     /// True once the confidence predictor masks latents.

@@ -6,15 +6,8 @@ use super::agent::Agent;
 use crate::error::TrainError;
 use crate::nn::Params;
 
-/// Averages of the parameters of all networks of an agent.
-pub struct Averages {
-    /// Action model.
-    pub model: Params,
-    /// Q-network.
-    pub q: Params,
-    /// Confidence predictor, where there is one.
-    pub confidence: Option<Params>,
-}
+/// Averages of the parameters of all networks of an agent, by name as [`Agent::networks`] has them.
+pub struct Averages(pub Vec<(&'static str, Params)>);
 
 impl Averages {
     /// The networks as they are.
@@ -22,29 +15,21 @@ impl Averages {
     /// # Errors
     /// Where candle cannot copy a tensor.
     pub fn of(agent: &Agent) -> Result<Self, TrainError> {
-        let confidence = agent.confidence.as_ref().map(|c| c.params.duplicate());
-        Ok(Self {
-            model: agent.model.params.duplicate()?,
-            q: agent.dqn.params.duplicate()?,
-            confidence: confidence.transpose()?,
-        })
+        let copies = agent.networks().into_iter().map(|(name, params)| Ok((name, params.duplicate()?)));
+        Ok(Self(copies.collect::<Result<_, TrainError>>()?))
     }
 
     /// `average += tau (network - average)`.
     pub fn approach(&mut self, agent: &Agent, tau: f32) {
-        self.model.approach(&agent.model.params, tau);
-        self.q.approach(&agent.dqn.params, tau);
-        if let (Some(average), Some(confidence)) = (&mut self.confidence, &agent.confidence) {
-            average.approach(&confidence.params, tau);
+        for ((_, average), (_, params)) in self.0.iter_mut().zip(agent.networks()) {
+            average.approach(params, tau);
         }
     }
 
     /// Puts the averages in the place of the networks; once more puts them back.
     pub fn swap(&mut self, agent: &mut Agent) {
-        std::mem::swap(&mut self.model, &mut agent.model.params);
-        std::mem::swap(&mut self.q, &mut agent.dqn.params);
-        if let (Some(average), Some(confidence)) = (&mut self.confidence, &mut agent.confidence) {
-            std::mem::swap(average, &mut confidence.params);
+        for ((_, average), (_, params)) in self.0.iter_mut().zip(agent.networks_mut()) {
+            std::mem::swap(average, params);
         }
     }
 }

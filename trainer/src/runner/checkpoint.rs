@@ -131,20 +131,11 @@ impl<'a> Arrays<'a> {
     }
 
     fn networks(&mut self, agent: &Agent) {
-        self.params("action-model", &agent.model.params);
-        self.params("q", &agent.dqn.params);
-        if let Some(confidence) = &agent.confidence {
-            self.params("confidence", &confidence.params);
-        }
+        agent.networks().into_iter().for_each(|(name, params)| self.params(name, params));
     }
 
     fn load_networks(&mut self, agent: &mut Agent) -> Result<(), String> {
-        self.load_params("action-model", &mut agent.model.params)?;
-        self.load_params("q", &mut agent.dqn.params)?;
-        if let Some(confidence) = &mut agent.confidence {
-            self.load_params("confidence", &mut confidence.params)?;
-        }
-        Ok(())
+        agent.networks_mut().into_iter().try_for_each(|(name, params)| self.load_params(name, params))
     }
 
     /// Serialises with `state` in the header.
@@ -248,12 +239,8 @@ pub fn save(run: &Run, dir: &Path) -> Result<(), TrainError> {
     if let Some(confidence) = &agent.confidence {
         arrays.adam("confidence", &confidence.adam);
     }
-    if let Some(averages) = &run.averages {
-        arrays.params("average/action-model", &averages.model);
-        arrays.params("average/q", &averages.q);
-        if let Some(confidence) = &averages.confidence {
-            arrays.params("average/confidence", confidence);
-        }
+    for (name, average) in run.averages.iter().flat_map(|averages| &averages.0) {
+        arrays.params(&format!("average/{name}"), average);
     }
     let (ar_next, obs, actions) = run.d_ar.arrays();
     arrays.flat("d_ar/obs", obs);
@@ -356,10 +343,8 @@ fn restore(file: &Path, mut arrays: Arrays, state: &str) -> Result<Run, TrainErr
     }
     if arrays.0.keys().any(|name| name.starts_with("average/")) {
         let mut averages = Averages::of(agent)?;
-        arrays.load_params("average/action-model", &mut averages.model).map_err(&bad)?;
-        arrays.load_params("average/q", &mut averages.q).map_err(&bad)?;
-        if let Some(confidence) = &mut averages.confidence {
-            arrays.load_params("average/confidence", confidence).map_err(&bad)?;
+        for (name, average) in &mut averages.0 {
+            arrays.load_params(&format!("average/{name}"), average).map_err(&bad)?;
         }
         run.averages = Some(averages);
     }
