@@ -62,6 +62,8 @@ fn whole_path(env: &str) {
     }
     // So short a run gives a poor policy; only what is measured about it matters here.
     ok("gadm", &["export", text(&dir), "-o", text(&policy), "--episodes", "3", "--force"]);
+    let card = std::fs::read_to_string(dir.join("card.toml")).unwrap();
+    assert!(card.contains("gadm train --config config.toml"), "settings that the program does not come with: {card}");
     let content = json("gadm", &["inspect", text(&policy), "--json"]);
     assert_eq!((content["self_test"].as_str(), content["latents"].as_u64()), (Some("passed"), Some(8)));
     assert_eq!(content["provenance"]["environment"].as_str(), Some(env));

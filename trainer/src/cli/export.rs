@@ -9,9 +9,8 @@ use gadm_runtime::Policy;
 use gadm_runtime::encode::AlignedImage;
 use gadm_trainer::atomic;
 use gadm_trainer::card::ReturnStats;
-use gadm_trainer::config::builtin::builtin;
-use gadm_trainer::config::resolve::resolve;
-use gadm_trainer::config::{Layer, TrainConfig};
+use gadm_trainer::config::TrainConfig;
+use gadm_trainer::config::builtin::is_builtin;
 use gadm_trainer::export::{ExportOptions, Exported, Limits, export, make_card, parts_of};
 use gadm_trainer::metrics::{keys, read_jsonl};
 use gadm_trainer::runner::origin::Origin;
@@ -84,22 +83,14 @@ pub struct Args {
     json: bool,
 }
 
-/// The command that makes this run again: short where the built-in configuration and the seed explain it.
-fn command(config: &TrainConfig) -> String {
-    let steps = config.steps;
-    let short = format!("gadm train --env {} --seed {} --steps {steps}", config.env, config.seed);
-    let explained = builtin(config.algo.name().id(), &config.env).is_some_and(|text| {
-        let layers = [
-            Layer::Toml { origin: config.env.clone(), text: text.to_owned() },
-            Layer::Set(format!("seed={}", config.seed)),
-            Layer::Set(format!("steps={steps}")),
-        ];
-        resolve::<TrainConfig>(&layers).is_ok_and(|c| c == *config)
-    });
-    if explained {
-        short
+/// The command that makes this run again, with the program of the commit in `origin` too: short where the built-in configuration
+/// and the seed explain it, there and here.
+fn command(config: &TrainConfig, origin: &Origin) -> String {
+    let TrainConfig { env, seed, steps, .. } = config;
+    if origin.built_in && is_builtin(config) {
+        format!("gadm train --env {env} --seed {seed} --steps {steps}")
     } else {
-        format!("gadm train --config config.toml --seed {} (configuration below)", config.seed)
+        format!("gadm train --config config.toml --seed {seed} (configuration below)")
     }
 }
 
@@ -231,7 +222,7 @@ pub fn main(args: &Args) -> anyhow::Result<ExitCode> {
     let name = args.output.file_name().map_or_else(|| "policy.bin".into(), |n| n.to_string_lossy());
     let wall = wall_time_s(&args.run, exported.env_steps);
     let origin = Origin::of_run(&args.run)?;
-    let card = make_card(&exported, &name, &command(&exported.config), wall, &origin, args.seed, sil)?;
+    let card = make_card(&exported, &name, &command(&exported.config, &origin), wall, &origin, args.seed, sil)?;
     atomic::write(&args.output, &exported.bytes)?;
     atomic::write(&args.output.with_file_name("card.toml"), card.to_toml()?.as_bytes())?;
     atomic::write(&args.output.with_file_name("card.md"), card.to_markdown().as_bytes())?;

@@ -1,6 +1,9 @@
 //! Configurations that come with the program: what `gadm train --algo ALGO --env ENV` uses without
 //! `--config`.
 
+use super::resolve::resolve;
+use super::{Layer, TrainConfig};
+
 /// Algorithm, environment id and configuration text.
 pub const BUILTIN: &[(&str, &str, &str)] = &[
     ("gadm-dqn", "inverted-pendulum-v5", include_str!("../../configs/gadm-dqn-inverted-pendulum-v5.toml")),
@@ -21,10 +24,21 @@ pub fn builtin(algo: &str, env: &str) -> Option<&'static str> {
     BUILTIN.iter().find(|(a, e, _)| (*a, *e) == (algo, env)).map(|(.., text)| *text)
 }
 
+/// Whether `config` is the built-in one of its algorithm and environment, but for seed and steps.
+pub fn is_builtin(config: &TrainConfig) -> bool {
+    builtin(config.algo.name().id(), &config.env).is_some_and(|text| {
+        let layers = [
+            Layer::Toml { origin: config.env.clone(), text: text.to_owned() },
+            Layer::Set(format!("seed={}", config.seed)),
+            Layer::Set(format!("steps={}", config.steps)),
+        ];
+        resolve::<TrainConfig>(&layers).is_ok_and(|builtin| builtin == *config)
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Layer, TrainConfig, resolve::resolve};
 
     #[test]
     fn every_builtin_configuration_is_valid_and_names_its_environment() {
@@ -33,6 +47,12 @@ mod tests {
             let config: TrainConfig = resolve(&[layer]).unwrap();
             config.validate().unwrap();
             assert_eq!((config.env.as_str(), config.algo.name().id()), (*id, *algo));
+            let other = TrainConfig { seed: 7, steps: config.steps + 1, ..config.clone() };
+            assert!(is_builtin(&config) && is_builtin(&other), "{algo} {id}: seed and steps do not count");
+            let mut tuned = config;
+            tuned.track.average += 0.25;
+            assert!(!is_builtin(&tuned), "{algo} {id}: a setting that counts");
         }
+        assert!(!is_builtin(&TrainConfig { env: "toy".to_owned(), ..TrainConfig::default() }), "has none");
     }
 }

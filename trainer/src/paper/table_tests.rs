@@ -19,7 +19,7 @@ fn plan(id: &str, out: &Path, seeds: u64, steps: u64) -> Plan {
 fn folder(run: &PlannedRun, evaluations: &[(u64, f64)]) {
     std::fs::create_dir_all(&run.dir).unwrap();
     std::fs::write(run.dir.join(CONFIG_FILE), to_toml(&run.config).unwrap()).unwrap();
-    Origin { commit: "0123abc".to_owned(), machine: "x".to_owned() }.store(&run.dir).unwrap();
+    Origin { commit: "0123abc".to_owned(), machine: "x".to_owned(), built_in: false }.store(&run.dir).unwrap();
     let lines = evaluations.iter().map(|(step, mean)| {
         format!(
             "{{\"env_steps\":{step},\"eval_return_mean\":{mean},\"eval_return_sd\":0.5,\"eval_success_rate\":0.9}}\n"

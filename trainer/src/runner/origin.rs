@@ -6,12 +6,14 @@ use std::process::Command;
 use serde::{Deserialize, Serialize};
 
 use crate::atomic;
+use crate::config::TrainConfig;
+use crate::config::builtin::is_builtin;
 use crate::error::TrainError;
 
 /// Name of the file in a run folder.
 pub const ORIGIN_FILE: &str = "origin.json";
 
-/// Commit and machine of a training run.
+/// How a training run was started.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Origin {
@@ -19,12 +21,16 @@ pub struct Origin {
     pub commit: String,
     /// Processor, cores, memory, system.
     pub machine: String,
+    /// Whether the settings were those that came with the program of that commit, but for seed and steps. They may be others by
+    /// the time of the export. False where a run was started before this was recorded.
+    #[serde(default)]
+    pub built_in: bool,
 }
 
 impl Origin {
-    /// Of this moment: the repository around the working folder, and this machine.
-    pub fn here() -> Self {
-        Self { commit: source_commit(), machine: machine() }
+    /// Of this moment: the repository around the working folder, this machine, and a run of `config`.
+    pub fn here(config: &TrainConfig) -> Self {
+        Self { commit: source_commit(), machine: machine(), built_in: is_builtin(config) }
     }
 
     /// Writes it into a run folder.
@@ -32,7 +38,7 @@ impl Origin {
     /// # Errors
     /// [`TrainError::Write`].
     pub fn store(&self, dir: &Path) -> Result<(), TrainError> {
-        let text = serde_json::to_string_pretty(self).expect("two strings serialise");
+        let text = serde_json::to_string_pretty(self).expect("text and a flag serialise");
         Ok(atomic::write(&dir.join(ORIGIN_FILE), format!("{text}\n").as_bytes())?)
     }
 
@@ -84,8 +90,10 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let text = Origin::of_run(dir.path()).unwrap_err().to_string();
         assert!(text.contains(ORIGIN_FILE) && text.contains("run folder"), "{text}");
-        let origin = Origin::here();
+        let origin = Origin { built_in: true, ..Origin::here(&TrainConfig::default()) };
         origin.store(dir.path()).unwrap();
         assert_eq!(Origin::of_run(dir.path()).unwrap(), origin);
+        std::fs::write(dir.path().join(ORIGIN_FILE), r#"{ "commit": "0123abc", "machine": "x" }"#).unwrap();
+        assert!(!Origin::of_run(dir.path()).unwrap().built_in, "of an earlier version");
     }
 }

@@ -157,7 +157,7 @@ fn open(options: &TrainOptions) -> Result<(Box<dyn AnyRun>, Sinks, File), TrainE
     std::fs::create_dir_all(dir.join(checkpoint::FOLDER)).map_err(TrainError::io("create", dir))?;
     let lock = lock(dir)?;
     atomic::write(&dir.join(CONFIG_FILE), text.as_bytes()).map_err(TrainError::Write)?;
-    super::origin::Origin::here().store(dir)?;
+    super::origin::Origin::here(run.config()).store(dir)?;
     let sinks = Sinks {
         jsonl: JsonlSink::create(dir).map_err(metrics_error)?,
         tensorboard: TensorBoardSink::create(dir, unix_time()).map_err(metrics_error)?,
