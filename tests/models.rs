@@ -29,9 +29,15 @@ fn card(name: &str) -> Card {
 #[test]
 fn the_promised_models_are_there() {
     let there: BTreeSet<String> = models().into_iter().map(|(name, _)| name).collect();
-    for name in
-        ["half-cheetah-v5", "hard-move-10", "hopper-v5", "inverted-pendulum-v5", "lunar-lander-continuous", "moving"]
-    {
+    for name in [
+        "half-cheetah-v5",
+        "hard-move-10",
+        "hopper-v5",
+        "inverted-pendulum-v5",
+        "lunar-lander-continuous",
+        "moving",
+        "sliding",
+    ] {
         assert!(there.contains(name), "models/{name} is missing; there are {there:?}");
     }
 }
